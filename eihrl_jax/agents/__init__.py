@@ -1,0 +1,1 @@
+"""Learners and the two-level agent as pure functions of their state."""

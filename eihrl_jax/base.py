@@ -1,0 +1,88 @@
+"""What every layer shares: the types in which environments and agents meet, the frame, errors.
+
+Frame: the outer top-left corner of a maze is (0, 0), x points right along the columns, y points
+up, so row `i` and column `j` of the text lie around ((j + 1/2) * CELL, -(i + 1/2) * CELL). Lengths
+are in MuJoCo units, called units.
+"""
+
+from typing import Any, Protocol
+
+from flax import struct
+from jaxtyping import Array, Bool, Float, Key
+
+CELL = 3.0
+"""Side of a maze cell, and the nominal length of one subgoal, in units (paper, Table 4)."""
+
+NUM_DIRECTIONS = 4
+"""Subgoals x+, x-, y+, y- (paper, Sec. 2), in this order everywhere."""
+
+DIRECTIONS_XY = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+"""Unit vector of each subgoal."""
+
+
+class UserError(ValueError):
+    """A user's mistake, told in one line that names the thing, the value and the limit.
+
+    The command line prints it without a traceback and exits with 2.
+    """
+
+
+@struct.dataclass
+class EnvState:
+    """One environment at one moment, without batch axis; returned by `reset` and `step`.
+
+    Attributes:
+      inner: the environment's own pytree.
+      obs: observation of this moment (after an auto-reset: of the new episode).
+      final_obs: observation that the last action led to; differs from `obs` only right after an
+        auto-reset, and is what a bootstrap at a time limit must use.
+      reward: scalar, unitless.
+      terminated: the episode ended for good; nothing is to be expected beyond it.
+      truncated: the episode was cut by its time limit; never true together with `terminated`.
+      metrics: scalars with keys fixed at reset.
+      key: random key of this environment.
+    """
+
+    inner: Any
+    obs: Any
+    final_obs: Any
+    reward: Float[Array, ""]
+    terminated: Bool[Array, ""]
+    truncated: Bool[Array, ""]
+    metrics: dict[str, Float[Array, ""]]
+    key: Key[Array, ""]
+
+
+class Environment(Protocol):
+    """The contract between environments and learners: pure functions of one environment.
+
+    Batches are made by the caller with `jax.vmap`, so that every environment works alone, in a
+    batch, and inside `jax.lax.scan`.
+    """
+
+    def reset(self, key: Key[Array, ""]) -> EnvState:
+        """Draws a new episode; the key is consumed."""
+        ...
+
+    def step(self, state: EnvState, action: Array) -> EnvState:
+        """Advances one step. Does not reset: see `envs.wrappers.auto_reset`."""
+        ...
+
+
+@struct.dataclass
+class Transition:
+    """One step as learners store it.
+
+    Attributes:
+      obs: observation before the action, a pytree.
+      action: what was done.
+      reward: scalar, unitless.
+      discount: gamma * (1 - terminated); a time limit leaves it at gamma.
+      next_obs: observation after the action, `final_obs` at an episode's end.
+    """
+
+    obs: Any
+    action: Array
+    reward: Float[Array, ""]
+    discount: Float[Array, ""]
+    next_obs: Any

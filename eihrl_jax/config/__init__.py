@@ -1,0 +1,1 @@
+"""Configurations: frozen dataclasses that check their own values."""

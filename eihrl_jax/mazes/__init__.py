@@ -1,0 +1,1 @@
+"""Mazes as text, as pytrees, and as random rooms."""

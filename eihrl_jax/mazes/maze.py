@@ -1,0 +1,94 @@
+"""The maze pytree: a maze is data, so one compiled program serves every maze.
+
+Layouts are padded with wall to a common shape before they are stacked, which leaves coordinates
+as they were because the origin is the outer top-left corner (see `base`).
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax import base
+
+MAX_GOALS = 9
+
+
+@struct.dataclass
+class Maze:
+    """One maze, or with a leading axis many of them. R rows and C columns include the outer ring.
+
+    Attributes:
+      wall: bool [R, C], true where a body can't be.
+      goal: int32 [R, C], number of the goal region of a cell, 1 to 9, or 0.
+      start: bool [R, C], cells in which an episode may start.
+      door: bool [R, C], door candidates; wall until `draw_door` opens one of them.
+      start_jitter: float32, half-width of the uniform offset from the start cell's centre, units.
+      num_goals: int32, number of goals of an episode.
+      num_decisions: int32, time limit in subgoals (paper, Table 3 divided by 25).
+    """
+
+    wall: Bool[Array, "R C"]
+    goal: Int[Array, "R C"]
+    start: Bool[Array, "R C"]
+    door: Bool[Array, "R C"]
+    start_jitter: Float[Array, ""]
+    num_goals: Int[Array, ""]
+    num_decisions: Int[Array, ""]
+
+
+def cell_ij(xy: Float[Array, "2"]) -> Int[Array, "2"]:
+    """Returns row and column of the cell around a position in units; may lie outside the grid."""
+    column_row = jnp.floor(xy * jnp.array([1.0, -1.0]) / base.CELL)
+    return column_row[::-1].astype(jnp.int32)
+
+
+def cell_xy(ij: Int[Array, "2"]) -> Float[Array, "2"]:
+    """Returns the centre, in units, of the cell at row and column `ij`."""
+    return (ij[::-1] + 0.5) * jnp.array([base.CELL, -base.CELL])
+
+
+def is_wall(maze: Maze, xy: Float[Array, "2"]) -> Bool[Array, ""]:
+    """Tells whether a position is inside a wall; everything outside the grid is."""
+    i, j = cell_ij(xy)
+    return maze.wall.at[i, j].get(mode="fill", fill_value=True, wrap_negative_indices=False)
+
+
+def goal_at(maze: Maze, xy: Float[Array, "2"]) -> Int[Array, ""]:
+    """Returns the number of the goal region at a position, 0 where there is none."""
+    i, j = cell_ij(xy)
+    return maze.goal.at[i, j].get(mode="fill", fill_value=0, wrap_negative_indices=False)
+
+
+def draw_cell(mask: Bool[Array, "R C"], key: Key[Array, ""]) -> Int[Array, "2"]:
+    """Draws row and column of one of the true cells of `mask`, all equally likely."""
+    index = jax.random.categorical(key, jnp.where(mask.ravel(), 0.0, -jnp.inf))
+    return jnp.stack(jnp.divmod(index, mask.shape[1])).astype(jnp.int32)
+
+
+def draw_door(maze: Maze, key: Key[Array, ""]) -> Maze:
+    """Opens one door candidate as goal 1; a maze without candidates stays as it is."""
+    i, j = draw_cell(maze.door, key)
+    is_drawn = jnp.zeros_like(maze.door).at[i, j].set(True) & maze.door
+    return maze.replace(
+        wall=(maze.wall | maze.door) & ~is_drawn,
+        goal=jnp.where(is_drawn, 1, maze.goal),
+    )
+
+
+def draw_start(maze: Maze, key: Key[Array, ""]) -> Float[Array, "2"]:
+    """Draws a start position in units: a start cell, then a uniform offset from its centre."""
+    cell_key, offset_key = jax.random.split(key)
+    offset = jax.random.uniform(offset_key, (2,), minval=-1.0, maxval=1.0)
+    return cell_xy(draw_cell(maze.start, cell_key)) + maze.start_jitter * offset
+
+
+def goal_centres(maze: Maze) -> Float[Array, "9 2"]:
+    """Returns the mean position of each goal region's cells in units; 0 for an absent goal."""
+    rows, columns = maze.goal.shape
+    i, j = jnp.mgrid[:rows, :columns]
+    cell = maze.goal[None] == jnp.arange(1, MAX_GOALS + 1)[:, None, None]
+    count = jnp.maximum(cell.sum((1, 2)), 1)
+    mean_ij = jnp.stack([(cell * i).sum((1, 2)), (cell * j).sum((1, 2))], -1) / count[:, None]
+    is_present = cell.any((1, 2))[:, None]
+    return jnp.where(is_present, jax.vmap(cell_xy)(mean_ij), 0.0)

@@ -1,0 +1,1 @@
+"""Numerical building blocks: returns, losses, geometry, statistics; arrays in, arrays out."""

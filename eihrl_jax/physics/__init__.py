@@ -1,0 +1,1 @@
+"""Rigid-body physics: one model, two engines, walls near the robot."""

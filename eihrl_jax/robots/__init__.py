@@ -1,0 +1,1 @@
+"""Robot models and the numbers by which the hierarchy drives them."""

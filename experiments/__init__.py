@@ -1,0 +1,1 @@
+"""Command lines; each parses its options, makes one library call and writes the result."""
