@@ -11,8 +11,9 @@ class Robot:
     Attributes:
       name: as it is called on the command line and in run folders.
       mjcf: path of the MJCF file; the file holds the robot alone, no floor and no walls.
-      root: "free" for a body on a free joint (qpos: x y z, quaternion, joints) or "planar" for one
-        on two slides along x and y that come first in qpos.
+      root: "free" for a body on a free joint (qpos: x y z, quaternion, joints), "planar" for one on
+        two slides along x and y and a hinge about z (qpos: x y yaw, joints), "slide" for one on the
+        two slides alone, whose first two controls push along x and y.
       physics_step: seconds per physics step.
       num_substeps: physics steps per control step.
       steps_per_subgoal: control steps per subgoal, k in the paper.

@@ -1,0 +1,76 @@
+"""MuJoCo's C engine, batched over a thread pool and called from inside compiled JAX programs."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+from mujoco import batch as mujoco_batch
+
+from eihrl_jax import base
+from eihrl_jax.physics import engine, scene
+from eihrl_jax.robots import robot as robot_lib
+
+
+class MujocoEngine:
+    """`engine.Engine` on the processor's cores; float64 inside, float32 at its boundary.
+
+    A call holds nothing over to the next: states are rows that are loaded, stepped and read back,
+    so results depend neither on the batch nor on the number of threads.
+    """
+
+    def __init__(self, robot: robot_lib.Robot):
+        """Compiles the robot's scene.
+
+        Raises:
+          base.UserError: the robot's MJCF can't be read or compiled.
+        """
+        self.robot = robot
+        self.model = scene.build(robot)
+        self._batches: dict[int, mujoco_batch.Batch] = {}
+
+    def step(
+        self,
+        state: engine.PhysicsState,
+        ctrl: Float[Array, " nu"],
+        walls_xy: Float[Array, "num_walls 2"],
+    ) -> engine.PhysicsState:
+        """Advances one control step, see `engine.Engine.step`."""
+        shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, jnp.float32), state)
+        return jax.pure_callback(
+            self._step_rows, shapes, state, ctrl, walls_xy, vmap_method="broadcast_all"
+        )
+
+    def _step_rows(
+        self, state: engine.PhysicsState, ctrl: np.ndarray, walls_xy: np.ndarray
+    ) -> engine.PhysicsState:
+        """Steps every row of arrays with any leading axes, on the host."""
+        lead = state.qpos.shape[:-1]
+        rows = self._batch(int(np.prod(lead)))
+        fields = ("qpos", "qvel", "qacc_warmstart")
+        for name in fields:
+            view = rows.bind(name)
+            view[...] = np.reshape(getattr(state, name), view.shape)
+        rows.bind("ctrl")[...] = np.reshape(ctrl, (rows.nsim, -1))
+        rows.bind("mocap_pos")[..., :2] = np.reshape(walls_xy, (rows.nsim, -1, 2))
+        try:
+            rows.step(nstep=self.robot.num_substeps)
+        except mujoco_batch.SimulationError as error:
+            rows.bind("qpos")[error.ids] = np.nan  # the environment's guard ends these episodes
+        return engine.PhysicsState(
+            **{name: _as_float32(rows.bind(name), lead) for name in fields}
+        )
+
+    def _batch(self, num_rows: int) -> mujoco_batch.Batch:
+        """Returns the simulations for `num_rows` rows, made on first use."""
+        if num_rows not in self._batches:
+            rows = mujoco_batch.Batch(self.model, num_rows)
+            half = base.CELL / 2
+            rows.bind("mocap_pos")[..., 2] = half
+            self._batches[num_rows] = rows
+        return self._batches[num_rows]
+
+
+def _as_float32(rows: np.ndarray, lead: tuple[int, ...]) -> np.ndarray:
+    """Copies rows out of the simulations, with the caller's leading axes."""
+    return rows.astype(np.float32).reshape(*lead, rows.shape[-1])

@@ -1,0 +1,61 @@
+"""The physics model that both engines run: floor, robot, and a few wall boxes near the robot.
+
+The number of boxes depends on the robot's reach alone, so a step costs the same in every maze.
+"""
+
+import mujoco
+
+from eihrl_jax import base
+from eihrl_jax.robots import robot as robot_lib
+
+PARKED_XY = (-1000.0, 1000.0)
+"""Where a wall box waits while no wall is near, units."""
+
+# Set in full: a robot's own default class must not leak into floor and walls.
+_CONTACT = {
+    "contype": 0,
+    "conaffinity": 1,
+    "condim": 3,
+    "friction": [1.0, 0.5, 0.5],
+    "margin": 0.01,
+    "solref": [0.02, 1.0],
+    "solimp": [0.8, 0.8, 0.01, 0.5, 2.0],
+    "density": 1000.0,
+}
+
+
+def build(robot: robot_lib.Robot) -> mujoco.MjModel:
+    """Compiles the scene of a robot.
+
+    Floor and walls collide with the robot's geoms only. Walls are mocap boxes of one cell, as high
+    as they are wide: against lower ones an immature ant lifts its torso to the upper edge.
+
+    Args:
+      robot: the robot; its MJCF holds neither floor nor walls.
+
+    Returns:
+      The model; mocap bodies 0 to `robot.num_walls - 1` are the walls.
+
+    Raises:
+      base.UserError: the MJCF can't be read or compiled.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+    except (ValueError, OSError) as error:
+        raise base.UserError(f"robot {robot.name!r}: {robot.mjcf}: {error}") from None
+    spec.option.timestep = robot.physics_step
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.iterations = 4
+    spec.option.ls_iterations = 8
+    # A NaN must reach the environment's guard instead of teleporting the robot to the origin.
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    spec.worldbody.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **_CONTACT
+    )
+    half = base.CELL / 2
+    for i in range(robot.num_walls):
+        body = spec.worldbody.add_body(name=f"wall_{i}", mocap=True, pos=[*PARKED_XY, half])
+        body.add_geom(
+            name=f"wall_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, size=[half, half, half], **_CONTACT
+        )
+    return spec.compile()

@@ -1,0 +1,18 @@
+"""The ant: eight torque-driven joints, the robot of the paper's main experiments."""
+
+import pathlib
+
+from eihrl_jax.robots import robot
+
+ROBOT = robot.Robot(
+    name="ant",
+    mjcf=pathlib.Path(__file__).parent / "assets" / "ant.xml",
+    root="free",
+    physics_step=0.02,
+    num_substeps=5,
+    steps_per_subgoal=25,
+    reach=1.25,
+    body_radius=0.7,
+    healthy_z=(0.2, 1.0),
+)
+"""0.1 s per control step as in the HIRO line of ant mazes; 25 of them per subgoal (paper, Table 4)."""
