@@ -1,0 +1,114 @@
+"""Final policies: parameters of one level as a small checkpoint, with what is needed to use them.
+
+A policy is a folder with `params/` (see `training.checkpoint`) and `meta.json`: which level, which
+robot, the sizes of network and view, the config, versions and steps. The shipped ones lie in
+`eihrl_jax/pretrained/<name>/<kind>`, those of a run in `<run>/policy`.
+"""
+
+import json
+import pathlib
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+from eihrl_jax import base
+from eihrl_jax.training import checkpoint
+
+Kind = Literal["high", "low"]
+
+PRETRAINED = pathlib.Path(__file__).parent / "pretrained"
+"""Folder of the shipped policies."""
+
+FOLDER = "policy"
+"""Name of a run's final policy inside its run folder."""
+
+
+def save(
+    path: pathlib.Path,
+    *,
+    kind: Kind,
+    params: Any,
+    meta: Mapping[str, Any],
+    overwrite: bool = False,
+) -> None:
+    """Writes a policy to the new folder `path`, which appears only when it is complete.
+
+    Args:
+      path: the folder; what a killed save of it left is replaced.
+      kind: the level.
+      params: nested dicts of arrays.
+      meta: JSON values; `robot` is required for the low level.
+      overwrite: replace a policy that is already there, as a run that ends a second time does.
+
+    Raises:
+      UserError: something is already there.
+    """
+    if kind == "low" and "robot" not in meta:
+        raise ValueError("a low-level policy needs its robot's name in meta")
+    if overwrite and checkpoint.is_complete(path):
+        checkpoint.remove(path)
+    text = json.dumps({"kind": kind, **meta}, indent=2, default=str) + "\n"
+    checkpoint.write(path, {"params": params}, files={"meta.json": text})
+
+
+def load(
+    path: pathlib.Path, *, kind: Kind, robot: str | None = None, template: Any = None
+) -> tuple[Any, dict[str, Any]]:
+    """Reads a policy after checking every byte of it.
+
+    Args:
+      path: a folder that `save` wrote; see `find`.
+      kind: the level that is wanted.
+      robot: name of the robot that is wanted, None for any.
+      template: parameters of the network that they are for, None for any.
+
+    Returns:
+      The parameters, and what `save` got as `meta`.
+
+    Raises:
+      UserError: it is no policy, damaged, or of another level, robot or network size.
+    """
+    meta = json.loads(checkpoint.read_file(path, "meta.json"))
+    if meta["kind"] != kind:
+        raise base.UserError(f"{path} is a {meta['kind']}-level policy, expected {kind}-level")
+    if robot is not None and meta.get("robot") != robot:
+        raise base.UserError(
+            f"{path} is a policy of robot {meta.get('robot')!r}, expected {robot!r}"
+        )
+    tree = checkpoint.read(path, None if template is None else {"params": template})
+    return tree["params"], meta
+
+
+def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
+    """Returns the folder of a policy, given a shipped name, a run folder or the folder itself.
+
+    Raises:
+      UserError: there is none.
+    """
+    path = pathlib.Path(name)
+    for candidate in (path, path / FOLDER, PRETRAINED / name / kind):
+        if checkpoint.is_complete(candidate):
+            return candidate
+    if (path / "config.json").is_file():
+        raise base.UserError(f"{path} holds no final policy yet: its training isn't finished")
+    raise base.UserError(
+        f"{name} is neither a policy nor a finished run, and shipped {kind}-level policies are: "
+        + (", ".join(shipped(kind)) or "none")
+    )
+
+
+def shipped(kind: Kind) -> list[str]:
+    """Names of the shipped policies of one level."""
+    folders = sorted(PRETRAINED.glob(f"*/{kind}"))
+    return [folder.parent.name for folder in folders if checkpoint.is_complete(folder)]
+
+
+def num_params(params: Any) -> int:
+    """Number of parameters.
+
+    >>> num_params({"bias": np.zeros(3), "kernel": np.zeros((2, 3))})
+    9
+    """
+    return sum(np.size(leaf) for leaf in jax.tree.leaves(params))

@@ -1,0 +1,252 @@
+"""Checkpoints: pytrees on disk, complete or not there at all. The only module that knows Orbax.
+
+A tree is a folder `arrays/` written by Orbax, beside a `manifest.json` that lists every array's
+shape and type and every file's checksum. It is written under a hidden name and renamed when it is
+complete, so a process killed at any moment leaves the last complete checkpoint; whatever a killed
+save left is removed by the next one. Nothing is ever unpickled.
+
+Arrays are stored without compression: replay buffers hardly compress, and saving 230 MB takes
+0.3 to 1.2 s so, against 0.8 to 1.8 s with it (two cores).
+"""
+
+import hashlib
+import json
+import pathlib
+import shutil
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import numpy as np
+import orbax.checkpoint as ocp
+
+from eihrl_jax import base
+
+KEEP = 2
+"""Checkpoints kept in a run folder."""
+
+_HIDDEN = ".incomplete-"
+_FORMAT = 1
+_MANIFEST = "manifest.json"
+
+
+def save(folder: pathlib.Path, step: int, state: Any, *, keep: int = KEEP) -> pathlib.Path:
+    """Writes a checkpoint, synchronously, then removes all but the last `keep`.
+
+    A step that is already there stays as it is: one run holds one state per step.
+
+    Args:
+      folder: the run's folder of checkpoints; made if it isn't there.
+      step: counts up from checkpoint to checkpoint.
+      state: pytree of arrays, typed keys and numbers.
+      keep: how many checkpoints remain.
+
+    Returns:
+      The folder of this checkpoint.
+    """
+    path = folder / f"{step:012d}"
+    if not path.exists():
+        write(path, state)
+    for old in _steps(folder)[:-keep]:
+        remove(folder / f"{old:012d}")
+    return path
+
+
+def restore(folder: pathlib.Path, template: Any) -> tuple[int, Any] | None:
+    """Reads the last complete checkpoint of a run.
+
+    Args:
+      folder: the run's folder of checkpoints.
+      template: a state of the same structure, as a fresh start makes it; gives types and placement.
+
+    Returns:
+      Its step and its state, or None where no checkpoint was completed yet.
+
+    Raises:
+      UserError: the checkpoint is damaged or holds another structure.
+    """
+    steps = _steps(folder)
+    if not steps:
+        return None
+    return steps[-1], read(folder / f"{steps[-1]:012d}", template)
+
+
+def write(path: pathlib.Path, tree: Any, *, files: Mapping[str, str] | None = None) -> None:
+    """Writes one tree to the new folder `path`, which appears only when it is complete.
+
+    Args:
+      path: the folder.
+      tree: pytree of arrays, typed keys and numbers.
+      files: further text files by name, covered by the same checksums.
+
+    Raises:
+      UserError: something is already there.
+    """
+    if path.exists():
+        raise base.UserError(f"{path} exists already and is not overwritten")
+    hidden = path.parent / f"{_HIDDEN}{path.name}"
+    if jax.process_index() == 0:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _clean(path.parent)
+    ocp.multihost.sync_global_processes("checkpoint: cleaned")
+    with _checkpointer() as checkpointer:
+        checkpointer.save((hidden / "arrays").absolute(), tree)
+    if jax.process_index() == 0:
+        for name, text in (files or {}).items():
+            (hidden / name).write_text(text)
+        manifest = {"format": _FORMAT, "arrays": describe(tree), "files": _checksums(hidden)}
+        (hidden / _MANIFEST).write_text(json.dumps(manifest, indent=1))
+        hidden.rename(path)
+    ocp.multihost.sync_global_processes("checkpoint: complete")
+
+
+def read(path: pathlib.Path, template: Any = None) -> Any:
+    """Reads a tree that `write` wrote, after checking every byte of it.
+
+    Args:
+      path: the folder.
+      template: a tree of the same structure; without it nested dicts of arrays are returned.
+
+    Raises:
+      UserError: it is damaged, or holds other arrays than the template.
+    """
+    manifest = _manifest(path)
+    _check_files(path, manifest["files"])
+    if template is None:
+        template = _nested(manifest["arrays"], path)
+    _check_same(path, found=manifest["arrays"], expected=describe(template))
+    restore_args = ocp.checkpoint_utils.construct_restore_args(template)
+    arguments = ocp.args.PyTreeRestore(item=template, restore_args=restore_args)
+    with _checkpointer() as checkpointer:
+        return checkpointer.restore((path / "arrays").absolute(), args=arguments)
+
+
+def remove(path: pathlib.Path) -> None:
+    """Removes a checkpoint such that a kill on the way leaves no half of it under its name."""
+    if jax.process_index() == 0:
+        hidden = path.parent / f"{_HIDDEN}removed-{path.name}"
+        path.rename(hidden)
+        shutil.rmtree(hidden)
+
+
+def read_file(path: pathlib.Path, name: str) -> str:
+    """Reads a text file that `write` put beside the arrays, after checking it.
+
+    Raises:
+      UserError: it isn't there or damaged.
+    """
+    files = _manifest(path)["files"]
+    if name not in files:
+        raise base.UserError(f"{path} has no {name}")
+    _check_file(path, name, files[name])
+    return (path / name).read_text()
+
+
+def is_complete(path: pathlib.Path) -> bool:
+    """Tells whether a folder is something that `write` wrote."""
+    return (path / _MANIFEST).is_file()
+
+
+def describe(tree: Any) -> dict[str, str]:
+    """Returns type and shape of every leaf of a tree, by its path.
+
+    >>> describe({"actor": {"bias": np.zeros(3, np.float32)}})
+    {'actor/bias': 'float32[3]'}
+    """
+    leaves = jax.tree_util.tree_flatten_with_path(tree)[0]
+    return {jax.tree_util.keystr(key, simple=True, separator="/"): _kind(x) for key, x in leaves}
+
+
+def _kind(leaf: Any) -> str:
+    array = leaf if hasattr(leaf, "dtype") else np.asarray(leaf)
+    return f"{array.dtype}[{','.join(map(str, array.shape))}]"
+
+
+def _checkpointer() -> ocp.Checkpointer:
+    return ocp.Checkpointer(ocp.PyTreeCheckpointHandler(use_zarr3=True, use_compression=False))
+
+
+def _steps(folder: pathlib.Path) -> list[int]:
+    """Steps of the complete checkpoints, ascending."""
+    return sorted(int(path.name) for path in folder.glob("[0-9]*") if path.name.isdecimal())
+
+
+def _clean(folder: pathlib.Path) -> None:
+    """Removes what a killed save or removal left."""
+    for leftover in folder.glob(f"{_HIDDEN}*"):
+        shutil.rmtree(leftover)
+
+
+def _checksums(folder: pathlib.Path) -> dict[str, str]:
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): _checksum(path) for path in files}
+
+
+def _checksum(path: pathlib.Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _manifest(path: pathlib.Path) -> dict[str, Any]:
+    if not is_complete(path):
+        raise base.UserError(f"{path} is no checkpoint: it has no {_MANIFEST}")
+    try:
+        manifest = json.loads((path / _MANIFEST).read_text())
+        version = manifest["format"]
+        texts = [*manifest["files"].items(), *manifest["arrays"].items()]
+        is_sound = all(isinstance(text, str) for pair in texts for text in pair)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        is_sound = False
+    if not is_sound:
+        raise base.UserError(f"{path} is damaged: {_MANIFEST} can't be read")
+    if version != _FORMAT:
+        raise base.UserError(f"{path} has checkpoint format {version!r}, expected {_FORMAT}")
+    return manifest
+
+
+def _check_files(path: pathlib.Path, files: dict[str, str]) -> None:
+    for name, expected in files.items():
+        _check_file(path, name, expected)
+    present = {file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file()}
+    extra = sorted(present - set(files) - {_MANIFEST})
+    if extra:
+        raise base.UserError(f"{path} is damaged: {extra[0]} is not in {_MANIFEST}")
+
+
+def _check_file(path: pathlib.Path, name: str, expected: str) -> None:
+    if not (path / name).is_file():
+        raise base.UserError(f"{path} is damaged: {name} is missing")
+    found = _checksum(path / name)
+    if found != expected:
+        raise base.UserError(
+            f"{path} is damaged: {name} has sha256 {found[:12]}, expected {expected[:12]}"
+        )
+
+
+def _check_same(path: pathlib.Path, *, found: dict[str, str], expected: dict[str, str]) -> None:
+    for name in [*expected, *found]:
+        left, right = found.get(name, "nothing"), expected.get(name, "nothing")
+        if left != right:
+            raise base.UserError(
+                f"{path} holds another network or state: {name} is {left}, expected {right}"
+            )
+
+
+def _nested(arrays: dict[str, str], path: pathlib.Path) -> dict[str, Any]:
+    """Builds nested dicts of abstract arrays from a manifest, placed on the default device."""
+    device = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+    tree: dict[str, Any] = {}
+    for name, kind in arrays.items():
+        *parents, last = name.split("/")
+        dtype, _, shape = kind.removesuffix("]").partition("[")
+        node = tree
+        for parent in parents:
+            node = node.setdefault(parent, {})
+        sizes = tuple(int(size) for size in shape.split(",") if size)
+        try:
+            node[last] = jax.ShapeDtypeStruct(sizes, np.dtype(dtype), sharding=device)
+        except TypeError:
+            raise base.UserError(
+                f"{path} holds a learner's state, not parameters: {name} is {kind}"
+            ) from None
+    return tree

@@ -1,0 +1,252 @@
+"""The folder of one training run: what was run, with what, how it went, and how to go on.
+
+    config.json     the options, as `config.to_json` writes them
+    versions.json   one entry per start: packages, Python, machine, commit
+    metrics.csv     one row per `log`, columns as in the first row
+    tensorboard/    the same numbers as events
+    checkpoints/    see `checkpoint`
+
+A run killed at any moment goes on from its last checkpoint with nothing to clean up by hand, and
+its metrics.csv then has the rows that the uninterrupted run would have.
+"""
+
+import csv
+import fcntl
+import json
+import os
+import pathlib
+from collections.abc import Collection, Mapping
+from typing import Any, Self
+
+import jax
+import tensorboardX
+
+from eihrl_jax import base, config
+from eihrl_jax.training import checkpoint, versions
+
+_LOCK = ".lock"
+_CONFIG = "config.json"
+_TEMPORARY = ".incomplete-"
+
+
+class RunFolder:
+    """A run folder that this process alone writes to; made by `create`, closed by `with`.
+
+    Attributes:
+      path: the folder.
+    """
+
+    def __init__(self, path: pathlib.Path, lock: int | None):
+        """Use `create`."""
+        self.path = path
+        self._lock = lock
+        self._columns: list[str] = []
+        self._file = None
+        self._events: tensorboardX.SummaryWriter | None = None
+        self._first_step = 0
+
+    @classmethod
+    def create(
+        cls,
+        path: pathlib.Path,
+        options: Any,
+        *,
+        resume: bool = False,
+        may_change: Collection[str] = (),
+    ) -> Self:
+        """Starts a run in a new folder, or goes on in an old one.
+
+        Args:
+          path: the folder.
+          options: the run's config, a dataclass.
+          resume: go on if the folder holds a run; a folder that is absent or empty is started.
+          may_change: options that may differ from the run's first start, besides the two that tell
+            where the run is and that it goes on.
+
+        Raises:
+          UserError: the folder holds something and `resume` is false; it holds no run, or one with
+            other options; another process is writing to it.
+        """
+        holds_something = _holds_something(path)
+        if holds_something and not resume:
+            raise base.UserError(
+                f"{path} exists already: go on with --resume or name another --run"
+            )
+        if holds_something and not (path / _CONFIG).is_file():
+            raise base.UserError(f"{path} holds no run to resume: it has no {_CONFIG}")
+        text = config.to_json(options)
+        if holds_something:
+            _check_same_options(path / _CONFIG, text, {"run", "resume", *may_change})
+        if jax.process_index() != 0:
+            return cls(path, None)  # The first process writes for all.
+        path.mkdir(parents=True, exist_ok=True)
+        run = cls(path, _take_lock(path))
+        if not holds_something:
+            _write_whole(path / _CONFIG, text)
+        starts = _read_starts(path / "versions.json")
+        _write_whole(path / "versions.json", json.dumps([*starts, versions.describe()], indent=2))
+        return run
+
+    def __enter__(self) -> Self:
+        """Returns the run folder itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Closes the files and gives the lock back."""
+        self.close()
+
+    def close(self) -> None:
+        """Closes the files and gives the lock back; may be called twice."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+        if self._events is not None:
+            self._events.close()
+            self._events = None
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def save(self, step: int, state: Any) -> None:
+        """Writes a checkpoint; call it after `log` of the same step."""
+        checkpoint.save(self.path / "checkpoints", step, state)
+
+    def restore(self, template: Any) -> tuple[int, Any] | None:
+        """Reads the last checkpoint and drops the metrics that were logged after it.
+
+        Args:
+          template: a state of the same structure, as a fresh start makes it.
+
+        Returns:
+          Its step and its state, or None at the beginning of a run.
+
+        Raises:
+          UserError: the checkpoint is damaged or holds another structure.
+        """
+        restored = checkpoint.restore(self.path / "checkpoints", template)
+        step = -1 if restored is None else restored[0]
+        if jax.process_index() == 0:
+            self._columns = _drop_rows_after(self.path / "metrics.csv", step)
+            self._first_step = step + 1
+        return restored
+
+    def log(self, step: int, metrics: Mapping[str, Any]) -> None:
+        """Appends one row to metrics.csv and the same numbers to TensorBoard.
+
+        Args:
+          step: what the run counts in; grows from row to row.
+          metrics: scalars by name. The first row fixes the columns; a later row may leave some out.
+
+        Raises:
+          ValueError: a name that the first row doesn't have.
+        """
+        if self._lock is None:
+            return
+        if self._file is None:
+            self._open(metrics)
+        unknown = [name for name in metrics if name not in self._columns]
+        if unknown:
+            raise ValueError(f"metric {unknown[0]!r} is not in the first row: {self._columns}")
+        values = {name: float(value) for name, value in metrics.items()}
+        row = [step, *(values.get(name, "") for name in self._columns)]
+        self._file.write(",".join(map(str, row)) + "\n")
+        for name, value in values.items():
+            self._events.add_scalar(name, value, step)
+
+    def _open(self, metrics: Mapping[str, Any]) -> None:
+        file = self.path / "metrics.csv"
+        is_new = not self._columns
+        if is_new:
+            self._columns = list(metrics)
+        self._file = file.open("w" if is_new else "a", buffering=1)
+        if is_new:
+            self._file.write(",".join(["step", *self._columns]) + "\n")
+        self._events = _open_events(self.path / "tensorboard", self._first_step)
+
+
+def _holds_something(path: pathlib.Path) -> bool:
+    """Tells whether a folder has more in it than what a killed start leaves.
+
+    Raises:
+      UserError: it is no folder.
+    """
+    if not path.exists():
+        return False
+    if not path.is_dir():
+        raise base.UserError(f"{path} is a file, not a folder for a run")
+    names = [entry.name for entry in path.iterdir()]
+    return any(name != _LOCK and not name.startswith(_TEMPORARY) for name in names)
+
+
+def _check_same_options(file: pathlib.Path, text: str, may_change: Collection[str]) -> None:
+    try:
+        old = json.loads(file.read_text())
+    except ValueError:
+        raise base.UserError(f"{file} is damaged: no JSON") from None
+    for name, value, old_value in _differences(json.loads(text), old, ""):
+        if name not in may_change:
+            started = f"{file.parent} was started with {name} = {old_value!r}"
+            raise base.UserError(f"{started} and can't go on with {value!r}")
+
+
+def _differences(new: Any, old: Any, name: str) -> list[tuple[str, Any, Any]]:
+    """Lists (name, new value, old value) of the options that differ, nested ones as a.b."""
+    if not (isinstance(new, dict) and isinstance(old, dict)):
+        return [] if new == old else [(name, new, old)]
+    keys = dict.fromkeys([*new, *old])
+    parts = [
+        _differences(new.get(key), old.get(key), f"{name}.{key}" if name else key) for key in keys
+    ]
+    return [difference for part in parts for difference in part]
+
+
+def _take_lock(path: pathlib.Path) -> int:
+    """Locks the folder for as long as this process lives; a kill gives the lock back."""
+    descriptor = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise base.UserError(f"{path} is being written to by another process") from None
+    return descriptor
+
+
+def _write_whole(file: pathlib.Path, text: str) -> None:
+    """Writes a file such that a kill leaves the old one or the new one."""
+    temporary = file.with_name(f"{_TEMPORARY}{file.name}")
+    temporary.write_text(text)
+    temporary.replace(file)
+
+
+def _read_starts(file: pathlib.Path) -> list[Any]:
+    try:
+        return list(json.loads(file.read_text()))
+    except (FileNotFoundError, ValueError):
+        return []
+
+
+def _drop_rows_after(file: pathlib.Path, step: int) -> list[str]:
+    """Drops rows later than `step` and a last one cut short; returns the columns after `step`."""
+    if not file.is_file():
+        return []
+    lines = [line for line in file.read_text().splitlines(keepends=True) if line.endswith("\n")]
+    if not lines:
+        return []
+    kept = [line for line in lines[1:] if int(line.partition(",")[0]) <= step]
+    if not kept:
+        file.unlink()
+        return []
+    _write_whole(file, "".join([lines[0], *kept]))
+    return next(csv.reader(lines[:1]))[1:]
+
+
+def _open_events(folder: pathlib.Path, first_step: int) -> tensorboardX.SummaryWriter:
+    """Opens a new event file; events from `first_step` on in older ones no longer count."""
+    folder.mkdir(exist_ok=True)
+    before = set(folder.iterdir())
+    events = tensorboardX.SummaryWriter(str(folder), purge_step=first_step)
+    # tensorboardX puts the machine's name at the end of the file name; a count serves as well.
+    for file in set(folder.iterdir()) - before:
+        prefix = ".".join(file.name.split(".")[:4])
+        file.rename(file.with_name(f"{prefix}.{len(before)}"))
+    return events

@@ -1,0 +1,71 @@
+"""What a run was made with: packages, Python, machine and commit; no host name and no path."""
+
+import datetime
+import importlib.metadata
+import pathlib
+import platform
+import subprocess
+from typing import Any
+
+import jax
+
+PACKAGES = (
+    "eihrl_jax",
+    "jax",
+    "jaxlib",
+    "mujoco",
+    "mujoco-mjx",
+    "flax",
+    "optax",
+    "orbax-checkpoint",
+    "numpy",
+)
+
+
+def describe() -> dict[str, Any]:
+    """Returns the versions of the packages that matter, the machine and the checkout's commit."""
+    device = jax.devices()[0]
+    return {
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "packages": {name: _version(name) for name in PACKAGES},
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "cpu": _cpu_model(),
+        "device": device.device_kind,
+        "num_devices": jax.device_count(),
+        "commit": _commit(pathlib.Path(__file__).parents[2]),
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _cpu_model() -> str:
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor()
+
+
+def _commit(root: pathlib.Path) -> str | None:
+    """Returns the commit of the checkout at `root`, `+changes` appended if files were edited."""
+    if not (root / ".git").exists():
+        return None
+    try:
+        commit = _git(root, "rev-parse", "HEAD")
+        is_edited = bool(_git(root, "status", "--porcelain", "--untracked-files=no"))
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return commit + "+changes" * is_edited
+
+
+def _git(root: pathlib.Path, *arguments: str) -> str:
+    command = ["git", "-C", str(root), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
