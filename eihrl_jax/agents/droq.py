@@ -1,0 +1,236 @@
+"""DroQ: soft actor-critic with few dropout critics and many updates, as pure functions.
+
+Hiraoka et al. 2021, Dropout Q-functions for doubly efficient reinforcement learning, Algorithm 2.
+Dropout is on in the online critics, the target critics and the actor's loss; the actor follows the
+mean of the critics, the target their minimum.
+"""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jaxtyping import Array, Float, Int, Key
+
+from eihrl_jax import base
+from eihrl_jax.networks import droq as networks
+from eihrl_jax.ops import tanh_normal
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Hyper-parameters; defaults of the authors' code for the ant.
+
+    Attributes:
+      hidden_sizes: widths of the hidden layers of all networks.
+      num_critics: size M of the ensemble.
+      dropout_rate: of the critics' hidden units.
+      learning_rate: of Adam for actor, critics and temperature.
+      target_rate: tau of the exponential moving average of the target critics.
+      target_entropy: what the temperature steers the policy's entropy to, nats.
+      initial_temperature: alpha at the start.
+      actor_period: critic updates per update of actor and temperature.
+    """
+
+    hidden_sizes: tuple[int, ...] = (256, 256)
+    num_critics: int = 2
+    dropout_rate: float = 0.01
+    learning_rate: float = 3e-4
+    target_rate: float = 0.005
+    target_entropy: float = -4.0
+    initial_temperature: float = 1.0
+    actor_period: int = 20
+
+
+@struct.dataclass
+class DroqState:
+    """All that the learner learns with.
+
+    Attributes:
+      actor_params: of `networks.droq.Actor`.
+      critic_params: of M `networks.droq.Critic`s, a tuple.
+      target_params: moving average of `critic_params`.
+      log_temperature: float32, log alpha.
+      actor_opt_state: of Adam.
+      critic_opt_state: of Adam.
+      temperature_opt_state: of Adam.
+      num_updates: int32, critic updates so far.
+    """
+
+    actor_params: Any
+    critic_params: Any
+    target_params: Any
+    log_temperature: Float[Array, ""]
+    actor_opt_state: optax.OptState
+    critic_opt_state: optax.OptState
+    temperature_opt_state: optax.OptState
+    num_updates: Int[Array, ""]
+
+
+class Droq:
+    """The learner's functions for one size of observation and action; holds no state."""
+
+    def __init__(self, num_features: int, num_actions: int, options: Options):
+        """Builds networks and optimisers.
+
+        Args:
+          num_features: size F of the network's input.
+          num_actions: size A of the action.
+          options: hyper-parameters.
+        """
+        self.options = options
+        self._num_features = num_features
+        self._actor = networks.Actor(num_actions, options.hidden_sizes)
+        self._critic = networks.Critic(options.hidden_sizes, options.dropout_rate)
+        self._optimizer = optax.adam(options.learning_rate)
+        self._num_actions = num_actions
+
+    def init(self, key: Key[Array, ""]) -> DroqState:
+        """Draws all parameters."""
+        actor_key, critic_key, dropout_key = jax.random.split(key, 3)
+        obs = jnp.zeros((1, self._num_features))
+        action = jnp.zeros((1, self._num_actions))
+        actor_params = self._actor.init(actor_key, obs)["params"]
+        critic_params = tuple(
+            self._critic.init(one_key, obs, action, dropout_key)["params"]
+            for one_key in jax.random.split(critic_key, self.options.num_critics)
+        )
+        log_temperature = jnp.log(jnp.float32(self.options.initial_temperature))
+        return DroqState(
+            actor_params=actor_params,
+            critic_params=critic_params,
+            target_params=critic_params,
+            log_temperature=log_temperature,
+            actor_opt_state=self._optimizer.init(actor_params),
+            critic_opt_state=self._optimizer.init(critic_params),
+            temperature_opt_state=self._optimizer.init(log_temperature),
+            num_updates=jnp.int32(0),
+        )
+
+    def act(
+        self,
+        actor_params: Any,
+        obs: Float[Array, " F"],
+        key: Key[Array, ""],
+        *,
+        deterministic: bool = False,
+    ) -> Float[Array, " A"]:
+        """Returns an action in (-1, 1): a sample, or the squashed mean."""
+        mean, log_std = self._actor.apply({"params": actor_params}, obs)
+        if deterministic:
+            return jnp.tanh(mean)
+        return tanh_normal.sample(mean, log_std, key)[0]
+
+    def update(
+        self, state: DroqState, batch: base.Transition, key: Key[Array, ""]
+    ) -> tuple[DroqState, dict[str, Float[Array, ""]]]:
+        """Updates the critics and their targets once, every `actor_period` times also the actor.
+
+        Args:
+          state: where the learner is.
+          batch: transitions with leading axis B.
+          key: consumed.
+
+        Returns:
+          The new state, and scalars: losses, mean value, entropy, temperature.
+        """
+        critic_key, actor_key = jax.random.split(key)
+        state, critic_metrics = self.update_critic(state, batch, critic_key)
+
+        def skip(state: DroqState) -> tuple[DroqState, dict[str, Float[Array, ""]]]:
+            nan = jnp.float32(jnp.nan)
+            return state, {"actor_loss": nan, "entropy": nan}
+
+        state, actor_metrics = jax.lax.cond(
+            state.num_updates % self.options.actor_period == 0,
+            lambda state: self.update_actor(state, batch, actor_key),
+            skip,
+            state,
+        )
+        temperature = jnp.exp(state.log_temperature)
+        return state, critic_metrics | actor_metrics | {"temperature": temperature}
+
+    def update_critic(
+        self, state: DroqState, batch: base.Transition, key: Key[Array, ""]
+    ) -> tuple[DroqState, dict[str, Float[Array, ""]]]:
+        """Regresses every critic on one shared target, then moves the target critics."""
+        target_key, online_key = jax.random.split(key)
+        target = self._target(state, batch, target_key)
+
+        def loss_fn(critic_params: Any) -> tuple[Float[Array, ""], Float[Array, ""]]:
+            values = self._values(critic_params, batch.obs, batch.action, online_key)
+            return jnp.square(values - target).mean(-1).sum(), values.mean()
+
+        (loss, value), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.critic_params)
+        updates, opt_state = self._optimizer.update(grads, state.critic_opt_state)
+        critic_params = optax.apply_updates(state.critic_params, updates)
+        state = state.replace(
+            critic_params=critic_params,
+            critic_opt_state=opt_state,
+            target_params=optax.incremental_update(
+                critic_params, state.target_params, self.options.target_rate
+            ),
+            num_updates=state.num_updates + 1,
+        )
+        return state, {"critic_loss": loss, "value": value}
+
+    def update_actor(
+        self, state: DroqState, batch: base.Transition, key: Key[Array, ""]
+    ) -> tuple[DroqState, dict[str, Float[Array, ""]]]:
+        """Moves actor and temperature one step."""
+        action_key, dropout_key = jax.random.split(key)
+        temperature = jnp.exp(state.log_temperature)
+
+        def loss_fn(actor_params: Any) -> tuple[Float[Array, ""], Float[Array, ""]]:
+            action, log_prob = self._sample(actor_params, batch.obs, action_key)
+            values = self._values(state.critic_params, batch.obs, action, dropout_key)
+            return (temperature * log_prob - values.mean(0)).mean(), -log_prob.mean()
+
+        (loss, entropy), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.actor_params)
+        updates, actor_opt_state = self._optimizer.update(grads, state.actor_opt_state)
+        # d/d(log alpha) of log_alpha * (entropy - target_entropy), as in the authors' code.
+        temperature_grad = entropy - self.options.target_entropy
+        step, temperature_opt_state = self._optimizer.update(
+            temperature_grad, state.temperature_opt_state
+        )
+        state = state.replace(
+            actor_params=optax.apply_updates(state.actor_params, updates),
+            actor_opt_state=actor_opt_state,
+            log_temperature=state.log_temperature + step,
+            temperature_opt_state=temperature_opt_state,
+        )
+        return state, {"actor_loss": loss, "entropy": entropy}
+
+    def _target(
+        self, state: DroqState, batch: base.Transition, key: Key[Array, ""]
+    ) -> Float[Array, " B"]:
+        """Returns r + discount * (min_i Q_i(s', a') - alpha log pi(a' | s')), fresh dropout."""
+        action_key, dropout_key = jax.random.split(key)
+        action, log_prob = self._sample(state.actor_params, batch.next_obs, action_key)
+        values = self._values(state.target_params, batch.next_obs, action, dropout_key)
+        soft_value = values.min(0) - jnp.exp(state.log_temperature) * log_prob
+        return batch.reward + batch.discount * soft_value
+
+    def _sample(
+        self, actor_params: Any, obs: Float[Array, "B F"], key: Key[Array, ""]
+    ) -> tuple[Float[Array, "B A"], Float[Array, " B"]]:
+        mean, log_std = self._actor.apply({"params": actor_params}, obs)
+        return tanh_normal.sample(mean, log_std, key)
+
+    def _values(
+        self,
+        critic_params: Any,
+        obs: Float[Array, "B F"],
+        action: Float[Array, "B A"],
+        key: Key[Array, ""],
+    ) -> Float[Array, "M B"]:
+        """Returns every critic's values; unrolled, since batched products are slow on CPU."""
+        keys = jax.random.split(key, len(critic_params))
+        return jnp.stack(
+            [
+                self._critic.apply({"params": params}, obs, action, one_key)
+                for params, one_key in zip(critic_params, keys, strict=True)
+            ]
+        )

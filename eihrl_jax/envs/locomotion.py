@@ -1,0 +1,394 @@
+"""The low level's task: walk one cell in the direction of the subgoal, which changes every k steps.
+
+Paper, Sec. 2 (eq. 1) and Sec. 3.2. An observation keeps its parts apart, because a stored step can
+be looked at again as if another direction had been asked for (`relabel`); `features` makes the
+network's input of it.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax import base
+from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.ops import rotations
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import walls
+from eihrl_jax.robots import robot as robot_lib
+
+FRAMES = ("world", "direction")
+
+
+@struct.dataclass
+class LowObs:
+    """What the low level knows. P: size of the proprioception.
+
+    Attributes:
+      proprioception: float32 [P], qpos without x and y, then qvel; units, radians, per second.
+      displacement_xy: float32 [2], movement since the subgoal was given, units, world frame.
+      time_left: float32, fraction of the subgoal's k steps that is left, in (0, 1].
+      direction: int32, the subgoal: 0 to 3 for x+, x-, y+, y-.
+    """
+
+    proprioception: Float[Array, " P"]
+    displacement_xy: Float[Array, "2"]
+    time_left: Float[Array, ""]
+    direction: Int[Array, ""]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class InputOptions:
+    """How observations become the network's input.
+
+    Attributes:
+      frame: "world" as in the paper, or "direction": turned such that the subgoal is x+.
+      use_progress: adds the displacement since the subgoal was given and the time left.
+    """
+
+    frame: str = "world"
+    use_progress: bool = False
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RewardOptions:
+    """The intrinsic reward, a difference of potentials of the displacement since the subgoal.
+
+    Attributes:
+      scale: alpha of eq. 1.
+      lateral_weight: what a unit of sideways drift costs against a unit of progress; 0 in eq. 1.
+      stops_at_cell: whether progress beyond one cell pays nothing; false in eq. 1.
+    """
+
+    scale: float = 3.0
+    lateral_weight: float = 0.0
+    stops_at_cell: bool = False
+
+
+@struct.dataclass
+class Walk:
+    """Inner state of `Locomotion`: physics, room, subgoal and time.
+
+    Attributes:
+      physics: the robot's state.
+      room: int32, index of the room it is in.
+      subgoal_xy: float32 [2], where the torso was when the subgoal was given, units.
+      direction: int32, the subgoal.
+      step: int32, control steps since the episode's start.
+    """
+
+    physics: engine_lib.PhysicsState
+    room: Int[Array, ""]
+    subgoal_xy: Float[Array, "2"]
+    direction: Int[Array, ""]
+    step: Int[Array, ""]
+
+
+@struct.dataclass
+class Experience:
+    """One stored control step, from which the reward of any direction can be computed.
+
+    Attributes:
+      obs: before the step.
+      ctrl: float32 [nu], controls in [-1, 1].
+      step_xy: float32 [2], the torso's movement, units.
+      terminated: the robot fell.
+      is_switch: a new subgoal was given after the step; `next_obs` is already of that one.
+      next_obs: after the step.
+    """
+
+    obs: LowObs
+    ctrl: Float[Array, " nu"]
+    step_xy: Float[Array, "2"]
+    terminated: Bool[Array, ""]
+    is_switch: Bool[Array, ""]
+    next_obs: LowObs
+
+
+def observe(
+    physics: engine_lib.PhysicsState,
+    subgoal_xy: Float[Array, "2"],
+    steps_left: Int[Array, ""],
+    direction: Int[Array, ""],
+    robot: robot_lib.Robot,
+) -> LowObs:
+    """Returns the low level's observation, the same in training and inside the hierarchy."""
+    return LowObs(
+        proprioception=jnp.concatenate([physics.qpos[2:], physics.qvel]),
+        displacement_xy=physics.qpos[:2] - subgoal_xy,
+        time_left=steps_left.astype(jnp.float32) / robot.steps_per_subgoal,
+        direction=direction,
+    )
+
+
+def is_fallen(qpos: Float[Array, " nq"], robot: robot_lib.Robot) -> Bool[Array, ""]:
+    """Tells whether the torso has left its healthy heights or points downwards."""
+    if robot.healthy_z is None:
+        return jnp.zeros((), bool)
+    low, high = robot.healthy_z
+    up_z = 1.0 - 2.0 * (jnp.square(qpos[4]) + jnp.square(qpos[5]))
+    return (qpos[2] < low) | (qpos[2] > high) | (up_z < 0.0)
+
+
+def features(
+    obs: LowObs, robot: robot_lib.Robot, options: InputOptions
+) -> Float[Array, " num_features"]:
+    """Returns the network's input: proprioception, two-hot direction, and perhaps progress.
+
+    The two-hot code of direction d sets entries 2d and 2d + 1 of eight (paper, Table 4). In the
+    direction's frame it is left out, since it would always be the same.
+    """
+    is_turned = options.frame == "direction"
+    direction = obs.direction if is_turned else jnp.zeros_like(obs.direction)
+    parts = [_turned_proprioception(obs.proprioception, direction, robot)]
+    if not is_turned:
+        parts.append(jnp.repeat(jax.nn.one_hot(obs.direction, base.NUM_DIRECTIONS), 2))
+    if options.use_progress:
+        displacement_xy = rotations.to_direction_frame(obs.displacement_xy, direction)
+        parts += [displacement_xy / base.CELL, obs.time_left[None]]
+    return jnp.concatenate(parts)
+
+
+def ctrl_from_action(
+    action: Float[Array, " nu"],
+    direction: Int[Array, ""],
+    robot: robot_lib.Robot,
+    options: InputOptions,
+) -> Float[Array, " nu"]:
+    """Returns the controls of a network's action; only a sliding robot's depend on the frame."""
+    if robot.root != "slide" or options.frame == "world":
+        return action
+    return jnp.concatenate([rotations.to_world_frame(action[:2], direction), action[2:]])
+
+
+def action_from_ctrl(
+    ctrl: Float[Array, " nu"],
+    direction: Int[Array, ""],
+    robot: robot_lib.Robot,
+    options: InputOptions,
+) -> Float[Array, " nu"]:
+    """Undoes `ctrl_from_action`."""
+    if robot.root != "slide" or options.frame == "world":
+        return ctrl
+    return jnp.concatenate([rotations.to_direction_frame(ctrl[:2], direction), ctrl[2:]])
+
+
+def reward(
+    displacement_xy: Float[Array, "2"],
+    step_xy: Float[Array, "2"],
+    direction: Int[Array, ""],
+    options: RewardOptions,
+) -> Float[Array, ""]:
+    """Computes the intrinsic reward of one control step.
+
+    With default options it is eq. 1, alpha * cos<g, d> * |d| = alpha * (g . d) for a step d, in the
+    form that has no singularity at d = 0.
+
+    Args:
+      displacement_xy: float32 [2], movement since the subgoal was given, before the step, units.
+      step_xy: float32 [2], the step's movement, units.
+      direction: int32, the subgoal that was to be followed.
+      options: scale, price of drift, and whether a full cell is enough.
+
+    Source: paper, eq. 1.
+    Differs from the paper: drift and stop are options, off in preset `paper`.
+    """
+
+    def potential(xy: Float[Array, "2"]) -> Float[Array, ""]:
+        along, lateral = rotations.to_direction_frame(xy, direction)
+        if options.stops_at_cell:
+            along = jnp.minimum(along, base.CELL)
+        return along - options.lateral_weight * jnp.abs(lateral)
+
+    gain = potential(displacement_xy + step_xy) - potential(displacement_xy)
+    return options.scale * gain
+
+
+def relabel(experience: Experience, direction: Int[Array, ""]) -> Experience:
+    """Returns a stored step as if `direction` had been asked for; physics doesn't depend on it."""
+    next_direction = jnp.where(
+        experience.is_switch, experience.next_obs.direction, direction
+    ).astype(jnp.int32)
+    return experience.replace(
+        obs=experience.obs.replace(direction=direction),
+        next_obs=experience.next_obs.replace(direction=next_direction),
+    )
+
+
+def transition(
+    experience: Experience,
+    robot: robot_lib.Robot,
+    input_options: InputOptions,
+    reward_options: RewardOptions,
+    gamma: float,
+) -> base.Transition:
+    """Returns a stored step as the learner sees it: features, action, reward, discount."""
+    obs = experience.obs
+    return base.Transition(
+        obs=features(obs, robot, input_options),
+        action=action_from_ctrl(experience.ctrl, obs.direction, robot, input_options),
+        reward=reward(obs.displacement_xy, experience.step_xy, obs.direction, reward_options),
+        discount=gamma * (1.0 - experience.terminated.astype(jnp.float32)),
+        next_obs=features(experience.next_obs, robot, input_options),
+    )
+
+
+class Locomotion:
+    """A robot in rooms, following directions that change at random every k control steps.
+
+    Observation: `LowObs`. Action: controls [nu] in [-1, 1]. Reward: see `reward`. Terminates when
+    the robot falls or the simulation breaks down; truncated after `episode_steps` control steps.
+    Reset: a random room and start, random yaw, noise on joints and velocities.
+
+    Metrics, per step: `switched` 1 where a subgoal has just ended, then `along` and `lateral` hold
+    its displacement in units; `fell` and `broke_down` 1 where the episode ended so.
+    """
+
+    def __init__(
+        self,
+        engine: engine_lib.Engine,
+        rooms: maze_lib.Maze,
+        *,
+        reward_options: RewardOptions,
+        episode_steps: int = 500,
+    ):
+        """Builds the environment.
+
+        Args:
+          engine: steps the robot.
+          rooms: mazes with a leading axis M; one is drawn at each reset.
+          reward_options: the intrinsic reward.
+          episode_steps: control steps per episode.
+        """
+        self.robot = engine.robot
+        self._engine = engine
+        self._rooms = rooms
+        self._reward_options = reward_options
+        self._episode_steps = episode_steps
+        self._stand = jnp.asarray(engine.model.key_qpos[0], jnp.float32)
+
+    def reset(self, key: Key[Array, ""]) -> base.EnvState:
+        """Draws a room, a start, a posture and a first subgoal."""
+        key, room_key, start_key, pose_key, direction_key = jax.random.split(key, 5)
+        room = jax.random.randint(room_key, (), 0, self._rooms.wall.shape[0])
+        start_xy = maze_lib.draw_start(self._room(room), start_key)
+        walk = Walk(
+            physics=self._draw_pose(start_xy, pose_key),
+            room=room,
+            subgoal_xy=start_xy,
+            direction=jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS),
+            step=jnp.int32(0),
+        )
+        obs = self._observe(walk)
+        zero, no = jnp.float32(0.0), jnp.zeros((), bool)
+        metrics = dict.fromkeys(("switched", "along", "lateral", "fell", "broke_down"), zero)
+        return base.EnvState(
+            inner=walk,
+            obs=obs,
+            final_obs=obs,
+            reward=zero,
+            terminated=no,
+            truncated=no,
+            metrics=metrics,
+            key=key,
+        )
+
+    def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
+        """Advances one control step; gives a new subgoal where the old one's time is up."""
+        walk: Walk = state.inner
+        key, direction_key = jax.random.split(state.key)
+        before_xy = walk.physics.qpos[:2]
+        near = walls.nearby(self._room(walk.room), before_xy, self.robot.num_walls)
+        stepped = self._engine.step(walk.physics, action, near)
+        is_finite = jnp.isfinite(jnp.concatenate([stepped.qpos, stepped.qvel])).all()
+        physics = jax.tree.map(lambda new, old: jnp.where(is_finite, new, old), stepped, walk.physics)
+
+        displacement_xy = physics.qpos[:2] - walk.subgoal_xy
+        along, lateral = rotations.to_direction_frame(displacement_xy, walk.direction)
+        step = walk.step + 1
+        is_switch = step % self.robot.steps_per_subgoal == 0
+        drawn = jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS)
+        fell = is_fallen(physics.qpos, self.robot)
+        terminated = fell | ~is_finite
+        new_walk = walk.replace(
+            physics=physics,
+            subgoal_xy=jnp.where(is_switch, physics.qpos[:2], walk.subgoal_xy),
+            direction=jnp.where(is_switch, drawn, walk.direction),
+            step=step,
+        )
+        obs = self._observe(new_walk)
+        gain = reward(
+            before_xy - walk.subgoal_xy,
+            physics.qpos[:2] - before_xy,
+            walk.direction,
+            self._reward_options,
+        )
+        switched = (is_switch & ~terminated).astype(jnp.float32)
+        return base.EnvState(
+            inner=new_walk,
+            obs=obs,
+            final_obs=obs,
+            reward=jnp.where(is_finite, gain, 0.0),
+            terminated=terminated,
+            truncated=(step >= self._episode_steps) & ~terminated,
+            metrics={
+                "switched": switched,
+                "along": switched * along,
+                "lateral": switched * lateral,
+                "fell": fell.astype(jnp.float32),
+                "broke_down": 1.0 - is_finite.astype(jnp.float32),
+            },
+            key=key,
+        )
+
+    def _room(self, index: Int[Array, ""]) -> maze_lib.Maze:
+        return jax.tree.map(lambda leaf: leaf[index], self._rooms)
+
+    def _observe(self, walk: Walk) -> LowObs:
+        steps_left = self.robot.steps_per_subgoal - walk.step % self.robot.steps_per_subgoal
+        return observe(walk.physics, walk.subgoal_xy, steps_left, walk.direction, self.robot)
+
+    def _draw_pose(
+        self, xy: Float[Array, "2"], key: Key[Array, ""]
+    ) -> engine_lib.PhysicsState:
+        """Returns the standing robot at `xy`, turned at random, its joints a little off."""
+        yaw_key, qpos_key, qvel_key = jax.random.split(key, 3)
+        yaw = jax.random.uniform(yaw_key, (), minval=-jnp.pi, maxval=jnp.pi)
+        qpos = self._stand + self.robot.qpos_noise * jax.random.uniform(
+            qpos_key, self._stand.shape, minval=-1.0, maxval=1.0
+        )
+        qpos = qpos.at[:2].set(xy)
+        if self.robot.root == "free":
+            zero = jnp.zeros_like(yaw)
+            upright = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
+            qpos = qpos.at[2].set(self._stand[2]).at[3:7].set(upright)
+        elif self.robot.root == "planar":
+            qpos = qpos.at[2].set(yaw)
+        qvel = self.robot.qvel_noise * jax.random.normal(qvel_key, (self._engine.model.nv,))
+        return engine_lib.reset(qpos, qvel)
+
+
+def _turned_proprioception(
+    proprioception: Float[Array, " P"], direction: Int[Array, ""], robot: robot_lib.Robot
+) -> Float[Array, " F"]:
+    """Turns posture and velocity into the frame of `direction`; 0 (x+) leaves them in the world's.
+
+    A planar robot's yaw becomes its cosine and sine, so that full turns don't add up.
+    """
+    if robot.root == "free":
+        num_qpos = (proprioception.shape[0] + 3) // 2  # nq + nv - 2 = P and nq = nv + 1
+        height, quat, joints, qvel = jnp.split(proprioception, [1, 5, num_qpos - 2])
+        posture = [height, rotations.quaternion_to_direction_frame(quat, direction), joints]
+    elif robot.root == "planar":
+        num_qpos = (proprioception.shape[0] + 2) // 2
+        yaw, joints, qvel = jnp.split(proprioception, [1, num_qpos - 2])
+        heading_xy = jnp.concatenate([jnp.cos(yaw), jnp.sin(yaw)])
+        posture = [rotations.to_direction_frame(heading_xy, direction), joints]
+    else:
+        num_qpos = (proprioception.shape[0] + 2) // 2
+        joints, qvel = jnp.split(proprioception, [num_qpos - 2])
+        posture = [joints]
+    velocity_xy = rotations.to_direction_frame(qvel[:2], direction)
+    return jnp.concatenate([*posture, velocity_xy, qvel[2:]])
