@@ -1,0 +1,62 @@
+# `make` alone lists the targets. Everything is installed into .venv inside this folder, from
+# requirements.lock alone, once; a changed lock file or pyproject.toml installs again.
+
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+TOOLS := build/tools
+SOURCES := eihrl_jax experiments tests
+PYTHONS := python3.11 python3
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow lint typecheck format lock clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 12
+
+demo: $(READY) ## train the high level and evaluate the hierarchy in four mazes, about 10 minutes
+	$(BIN)/python -m experiments.demo
+
+test: $(READY) ## run the default tests on CPU
+	$(BIN)/python -m pytest $(ARGS)
+
+test-slow: $(READY) ## run the tests that take minutes
+	$(BIN)/python -m pytest -m "slow and not gpu" $(ARGS)
+
+lint: $(READY) ## check style
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/ruff check $(SOURCES)
+
+typecheck: $(READY) ## check types
+	$(BIN)/basedpyright
+
+format: $(READY) ## rewrite the sources in the project's format
+	$(BIN)/ruff format $(SOURCES)
+	$(BIN)/ruff check --fix $(SOURCES)
+
+lock: $(TOOLS)/bin/uv ## write requirements.lock anew; ARGS=--upgrade takes newer versions
+	$(TOOLS)/bin/uv --no-config pip compile pyproject.toml --output-file requirements.lock \
+	  --extra test --extra dev --group build --universal --python-version 3.11 \
+	  --generate-hashes --no-header --no-annotate --no-emit-index-url --quiet $(ARGS)
+
+clean: ## remove what was installed and built; runs stay
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .ruff_cache
+
+$(READY): requirements.lock pyproject.toml
+	@set -e; python=""; \
+	for each in $(PYTHONS); do \
+	  if $$each -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	    python=$$each; break; \
+	  fi; \
+	done; \
+	if [ -z "$$python" ]; then \
+	  echo "error: no Python 3.11 or later: tried $(PYTHONS)" >&2; exit 2; \
+	fi; \
+	set -x; $$python -m venv $(VENV)
+	$(BIN)/python -m pip install --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --disable-pip-version-check --no-deps --no-build-isolation --no-index -e .
+	@touch $@
+
+$(TOOLS)/bin/uv:
+	python3 -m venv $(TOOLS)
+	$(TOOLS)/bin/pip install --disable-pip-version-check --quiet uv
