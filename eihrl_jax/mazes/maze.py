@@ -62,18 +62,27 @@ def goal_at(maze: Maze, xy: Float[Array, "2"]) -> Int[Array, ""]:
 
 def draw_cell(mask: Bool[Array, "R C"], key: Key[Array, ""]) -> Int[Array, "2"]:
     """Draws row and column of one of the true cells of `mask`, all equally likely."""
-    index = jax.random.categorical(key, jnp.where(mask.ravel(), 0.0, -jnp.inf))
+    rank = jnp.cumsum(mask.ravel())
+    index = jnp.searchsorted(rank, jax.random.uniform(key) * rank[-1], side="right")
     return jnp.stack(jnp.divmod(index, mask.shape[1])).astype(jnp.int32)
+
+
+def open_door(maze: Maze, ij: Int[Array, "2"]) -> Maze:
+    """Opens the door candidate at row and column `ij` as goal 1 and walls up the others.
+
+    Where there is no candidate, such as at (-1, -1), none opens.
+    """
+    rows, columns = jnp.indices(maze.door.shape, sparse=True)
+    is_open = maze.door & (rows == ij[0]) & (columns == ij[1])
+    return maze.replace(
+        wall=(maze.wall | maze.door) & ~is_open,
+        goal=jnp.where(is_open, 1, maze.goal),
+    )
 
 
 def draw_door(maze: Maze, key: Key[Array, ""]) -> Maze:
     """Opens one door candidate as goal 1; a maze without candidates stays as it is."""
-    i, j = draw_cell(maze.door, key)
-    is_drawn = jnp.zeros_like(maze.door).at[i, j].set(True) & maze.door
-    return maze.replace(
-        wall=(maze.wall | maze.door) & ~is_drawn,
-        goal=jnp.where(is_drawn, 1, maze.goal),
-    )
+    return open_door(maze, draw_cell(maze.door, key))
 
 
 def draw_start(maze: Maze, key: Key[Array, ""]) -> Float[Array, "2"]:

@@ -1,0 +1,170 @@
+"""Turns the text of a maze into the pytree, and says by row and column what is wrong with it.
+
+Legend: `#` wall, `.` free, `S` start candidate, `1` to `9` goal regions in order, `D` door
+candidates, of which one is drawn per episode and becomes goal 1 while the others are wall. The
+text includes the outer ring, which holds only walls, goals and doors. In messages rows and columns
+are counted from 1, as text editors do.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from eihrl_jax import base
+from eihrl_jax.mazes import paths
+from eihrl_jax.mazes.maze import MAX_GOALS, Maze
+
+MIN_SIZE, MAX_SIZE = 3, 256
+"""Smallest and largest number of rows and of columns, outer ring included."""
+
+DIGITS = "123456789"
+
+
+def parse(
+    text: str,
+    *,
+    name: str = "maze",
+    num_decisions: int | None = None,
+    start_jitter: float = 0.5,
+) -> Maze:
+    """Reads a maze from its text.
+
+    Blank lines around it and blanks at the ends of lines are dropped.
+
+    Args:
+      text: rows of cells, see the legend above.
+      name: how messages call the maze.
+      num_decisions: time limit in subgoals; None: four times the longest shortest tour of the
+        goals in cells, at least 24.
+      start_jitter: half-width of the uniform offset from the start cell's centre, units in [0, 1.5).
+
+    Raises:
+      base.UserError: the text is not a maze in which every start leads to every goal and door.
+    """
+    grid = _grid(text, name)
+    if not 0.0 <= start_jitter < base.CELL / 2:
+        raise base.UserError(f"{name}: start_jitter {start_jitter} is not in [0, {base.CELL / 2})")
+    if num_decisions is not None and num_decisions < 1:
+        raise base.UserError(f"{name}: num_decisions {num_decisions} is below 1")
+    _check_cells(grid, name)
+    is_door = grid == "D"
+    goal = np.where(np.isin(grid, list(DIGITS)), grid, "0").astype(np.int32)
+    _check_ways(grid, name)
+    maze = Maze(
+        wall=jnp.asarray((grid == "#") | is_door),
+        goal=jnp.asarray(goal),
+        start=jnp.asarray(grid == "S"),
+        door=jnp.asarray(is_door),
+        start_jitter=jnp.float32(start_jitter),
+        num_goals=jnp.int32(max(goal.max(), int(is_door.any()))),
+        num_decisions=jnp.int32(0),
+    )
+    if num_decisions is None:
+        num_decisions = max(24, 4 * paths.longest_tour(maze))
+    return maze.replace(num_decisions=jnp.int32(num_decisions))
+
+
+def stack(mazes: list[Maze]) -> Maze:
+    """Stacks mazes along a new leading axis, padded with wall to the largest of them.
+
+    Coordinates stay as they were: padding is below and to the right.
+    """
+    rows = max(maze.wall.shape[0] for maze in mazes)
+    columns = max(maze.wall.shape[1] for maze in mazes)
+
+    def pad(grid: jax.Array, value: bool | int) -> jax.Array:
+        margin = ((0, rows - grid.shape[0]), (0, columns - grid.shape[1]))
+        return jnp.pad(grid, margin, constant_values=value)
+
+    padded = [
+        maze.replace(
+            wall=pad(maze.wall, True),
+            goal=pad(maze.goal, 0),
+            start=pad(maze.start, False),
+            door=pad(maze.door, False),
+        )
+        for maze in mazes
+    ]
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
+
+
+def place(cell: tuple[int, int]) -> str:
+    """Says where a cell is, as messages do."""
+    return f"row {cell[0] + 1}, column {cell[1] + 1}"
+
+
+def _grid(text: str, name: str) -> np.ndarray:
+    """Splits the text into one character per cell, [R, C]."""
+    lines = [line.rstrip() for line in text.strip("\r\n").splitlines()]
+    while lines and not lines[0]:
+        lines.pop(0)
+    while lines and not lines[-1]:
+        lines.pop()
+    if not lines:
+        raise base.UserError(f"{name}: the text is empty")
+    for i, line in enumerate(lines):
+        for j, character in enumerate(line):
+            if character not in "#.SD" + DIGITS:
+                raise base.UserError(
+                    f"{name}: unknown character {character!r} at {place((i, j))}; "
+                    "known are # . S D and 1 to 9"
+                )
+        if len(line) != len(lines[0]):
+            raise base.UserError(
+                f"{name}: row {i + 1} has {len(line)} columns, but row 1 has {len(lines[0])}"
+            )
+    for what, size in (("rows", len(lines)), ("columns", len(lines[0]))):
+        if not MIN_SIZE <= size <= MAX_SIZE:
+            raise base.UserError(f"{name}: {size} {what}, not in [{MIN_SIZE}, {MAX_SIZE}]")
+    return np.array([list(line) for line in lines])
+
+
+def _check_cells(grid: np.ndarray, name: str) -> None:
+    """Checks that starts and goals are there, numbered without gaps, and the ring is closed."""
+    inside = np.zeros(grid.shape, bool)
+    inside[1:-1, 1:-1] = True
+    for cell in paths.cells(~inside & np.isin(grid, [".", "S"])):
+        raise base.UserError(
+            f"{name}: {grid[cell]!r} at {place(cell)} leaves the outer ring open; "
+            "only # D and 1 to 9 may be there"
+        )
+    if not (grid == "S").any():
+        raise base.UserError(f"{name}: no start; mark at least one cell with S")
+    has_door = bool((grid == "D").any())
+    present = [int(digit) for digit in DIGITS if (grid == digit).any()]
+    if not present and not has_door:
+        raise base.UserError(f"{name}: no goal; mark a region with 1 or door candidates with D")
+    if has_door and 1 in present:
+        raise base.UserError(
+            f"{name}: goal 1 at {place(paths.cells(grid == '1')[0])} beside door candidates; "
+            "the open door is goal 1, so regions are numbered from 2"
+        )
+    for number, expected in zip(present, range(2 if has_door else 1, MAX_GOALS + 1), strict=False):
+        if number != expected:
+            where = place(paths.cells(grid == str(number))[0])
+            raise base.UserError(f"{name}: goal {number} at {where}, but there is no {expected}")
+
+
+def _check_ways(grid: np.ndarray, name: str) -> None:
+    """Checks that every start leads to every goal and door without passing another door."""
+    starts = paths.cells(grid == "S")
+    reached = paths.distances((grid != "#") & (grid != "D"), starts[:1])
+    for start in starts:
+        if reached[start] < 0:
+            raise base.UserError(
+                f"{name}: no way from the start at {place(starts[0])} to the start at "
+                f"{place(start)}"
+            )
+    for digit in DIGITS:
+        for goal in paths.cells(grid == digit):
+            if reached[goal] < 0:
+                raise base.UserError(
+                    f"{name}: no way from the start at {place(starts[0])} to goal {digit} at "
+                    f"{place(goal)}"
+                )
+    for door in paths.cells(grid == "D"):
+        if paths.way_to_door(reached, door) < 0:
+            raise base.UserError(
+                f"{name}: no way from the start at {place(starts[0])} to the door candidate at "
+                f"{place(door)}"
+            )

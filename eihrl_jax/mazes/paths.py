@@ -1,0 +1,102 @@
+"""Shortest paths in mazes, on the host: which cells can be reached, and in how many moves.
+
+One move takes the robot to one of the four neighbouring cells, as one subgoal does nominally.
+Distances are counted in moves; -1 stands for a cell that can't be reached.
+"""
+
+import collections
+from collections.abc import Iterable
+
+import numpy as np
+
+from eihrl_jax.mazes.maze import Maze
+
+Cell = tuple[int, int]
+"""Row and column of a cell, counted from 0."""
+
+
+def distances(free: np.ndarray, sources: Iterable[Cell]) -> np.ndarray:
+    """Counts the moves from the nearest of some cells to every cell.
+
+    Args:
+      free: bool [R, C], cells that can be entered.
+      sources: cells to start from; they need not be free.
+
+    Returns:
+      int32 [R, C], number of moves; -1 where there is no way.
+    """
+    rows, columns = free.shape
+    width = columns + 2
+    is_open = np.pad(free, 1).ravel().tolist()
+    moves = [-1] * len(is_open)
+    queue = collections.deque((i + 1) * width + j + 1 for i, j in sources)
+    for cell in queue:
+        moves[cell] = 0
+    while queue:
+        cell = queue.popleft()
+        for neighbour in (cell + 1, cell - 1, cell + width, cell - width):
+            if is_open[neighbour] and moves[neighbour] < 0:
+                moves[neighbour] = moves[cell] + 1
+                queue.append(neighbour)
+    return np.array(moves, np.int32).reshape(rows + 2, width)[1:-1, 1:-1]
+
+
+def cells(mask: np.ndarray) -> list[Cell]:
+    """Lists the true cells of a mask in reading order."""
+    return [(int(i), int(j)) for i, j in np.argwhere(mask)]
+
+
+def legs(maze: Maze, start: Cell | None = None, door: Cell | None = None) -> list[int]:
+    """Counts the moves of each leg of an episode: start to goal 1, goal 1 to goal 2, and so on.
+
+    A leg ends in the nearest cell of its region and the next one begins anywhere in that region,
+    so for regions of several cells the sum is a lower bound of the whole way.
+
+    Args:
+      maze: one maze, no door drawn.
+      start: start cell; None: the nearest of all.
+      door: the door candidate that is open; None: none is, and goal 1 is a region of the text.
+
+    Returns:
+      Number of moves per goal, in the order of the goals; -1 where there is no way.
+    """
+    wall, goal = np.array(maze.wall | maze.door), np.array(maze.goal)
+    if door is not None:
+        wall[door], goal[door] = False, 1
+    sources = cells(np.asarray(maze.start)) if start is None else [start]
+    found = []
+    for number in range(1, int(maze.num_goals) + 1):
+        region = cells(goal == number)
+        reached = distances(~wall, sources)
+        found.append(min((int(reached[cell]) for cell in region if reached[cell] >= 0), default=-1))
+        sources = region
+    return found
+
+
+def longest_tour(maze: Maze) -> int:
+    """Bounds the moves that a shortest tour of all goals takes, over all starts and doors.
+
+    The bound goes by way of the most central start, which keeps it cheap where starts and doors
+    are many; it is exact for one start.
+
+    Args:
+      maze: one maze, no door drawn, in which every goal and door can be reached from every start.
+    """
+    starts = np.argwhere(np.asarray(maze.start))
+    centre = np.abs(starts - starts.mean(0)).sum(1).argmin()
+    middle = (int(starts[centre, 0]), int(starts[centre, 1]))
+    reached = distances(~np.asarray(maze.wall | maze.door), [middle])
+    to_middle = int(reached[np.asarray(maze.start)].max())
+    doors = cells(np.asarray(maze.door))
+    if not doors:
+        return to_middle + sum(legs(maze, middle))
+    farthest = max(doors, key=lambda door: way_to_door(reached, door))
+    return to_middle + sum(legs(maze, middle, farthest))
+
+
+def way_to_door(reached: np.ndarray, door: Cell) -> int:
+    """Returns the moves to a door, given those to all other cells; -1 where there is no way."""
+    around = np.pad(reached, 1, constant_values=-1)
+    i, j = door[0] + 1, door[1] + 1
+    nearest = [int(n) for n in around[[i - 1, i + 1, i, i], [j, j, j - 1, j + 1]] if n >= 0]
+    return min(nearest) + 1 if nearest else -1
