@@ -1,0 +1,95 @@
+"""Learning curves from the `metrics.csv` of run folders, drawn with matplotlib."""
+
+import csv
+import pathlib
+from collections.abc import Mapping
+
+import matplotlib.figure
+import matplotlib.ticker
+import numpy as np
+from jaxtyping import Float
+from matplotlib.backends import backend_agg
+
+from eihrl_jax import base
+from eihrl_jax.evaluation import palette
+
+_DPI = 160
+
+
+def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
+    """Reads two columns of a `metrics.csv`, leaving out rows in which either is empty.
+
+    Args:
+      path: the file.
+      x: name of the first column.
+      y: name of the second column.
+
+    Raises:
+      base.UserError: the file can't be read, lacks a column, or holds no number in them.
+    """
+    try:
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            rows = [(row[x], row[y]) for row in reader]
+        points = np.array([pair for pair in rows if all(pair)], float).reshape(-1, 2)
+    except KeyError as error:
+        raise base.UserError(f"{path} has no column {error}") from None
+    except (OSError, ValueError) as error:
+        raise base.UserError(f"{path} can't be read: {error}") from None
+    if not len(points):
+        raise base.UserError(f"{path} holds no values of {x!r} and {y!r}")
+    return points
+
+
+def smooth(values: Float[np.ndarray, " N"], window: int) -> Float[np.ndarray, " N"]:
+    """Averages each value with those around it, `window` in all, fewer at the ends."""
+    half = min(window, len(values)) // 2
+    padded = np.concatenate([[0.0], np.cumsum(values)])
+    first = np.maximum(np.arange(len(values)) - half, 0)
+    last = np.minimum(np.arange(len(values)) + half + 1, len(values))
+    return (padded[last] - padded[first]) / (last - first)
+
+
+def save(
+    path: pathlib.Path,
+    curves: Mapping[str, Float[np.ndarray, "N 2"]],
+    *,
+    x_label: str,
+    y_label: str,
+    y_scale: float = 1.0,
+    y_range: tuple[float, float] | None = None,
+) -> None:
+    """Draws curves, each smoothed, with its raw values behind it, as PNG.
+
+    Args:
+      path: where the picture goes.
+      curves: points by label; one curve gets no legend.
+      x_label: what the horizontal axis is.
+      y_label: what the vertical axis is, with its unit.
+      y_scale: factor on the values, e.g. 100 for per cent.
+      y_range: limits of the vertical axis after scaling; None: as the values need.
+    """
+    figure = matplotlib.figure.Figure(
+        figsize=(7.0, 4.2), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
+    )
+    axes = figure.add_subplot()
+    axes.set_facecolor(palette.PAPER)
+    for i, (label, points) in enumerate(curves.items()):
+        colour = palette.CURVE[i % len(palette.CURVE)]
+        x, y = points[:, 0], y_scale * points[:, 1]
+        axes.plot(x, y, color=colour, alpha=0.25, linewidth=1.0)
+        window = max(1, len(y) // 20)
+        axes.plot(x, smooth(y, window), color=colour, linewidth=2.0, label=label)
+    axes.set_xlabel(x_label, color=palette.INK)
+    axes.set_ylabel(y_label, color=palette.INK)
+    axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=" "))
+    axes.set_xlim(left=0.0)
+    if y_range is not None:
+        axes.set_ylim(*y_range)
+    axes.grid(color=palette.MUTED, alpha=0.25, linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(palette.MUTED)
+    axes.tick_params(colors=palette.INK)
+    if len(curves) > 1:
+        axes.legend(frameon=False, labelcolor=palette.INK)
+    backend_agg.FigureCanvasAgg(figure).print_png(str(path))

@@ -1,0 +1,179 @@
+"""Heatmaps of visited positions (paper, Figure 7), drawn with matplotlib's object interface."""
+
+import dataclasses
+import pathlib
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib.axes
+import matplotlib.cm
+import matplotlib.colorbar
+import matplotlib.colors
+import matplotlib.figure
+import matplotlib.patches
+import numpy as np
+from jaxtyping import Float
+from matplotlib.backends import backend_agg
+
+from eihrl_jax import base
+from eihrl_jax.evaluation import palette, picture
+from eihrl_jax.mazes import maze as maze_lib
+
+BINS_PER_CELL = 6
+_LABEL = "torso positions per episode and square unit"
+_DPI = 160
+
+
+@dataclasses.dataclass(frozen=True)
+class Visits:
+    """Where the torso was in one maze.
+
+    Attributes:
+      title: what the picture is called.
+      maze: the maze as it was loaded, its door candidates not yet drawn.
+      density: float [R * BINS_PER_CELL, C * BINS_PER_CELL], mean number of recorded positions per
+        episode and square unit; row 0 is the north.
+    """
+
+    title: str
+    maze: maze_lib.Maze
+    density: Float[np.ndarray, "rows columns"]
+
+
+def density(
+    xy: Float[np.ndarray, "N 2"], shape: tuple[int, int], num_episodes: int
+) -> Float[np.ndarray, "rows columns"]:
+    """Counts positions on a fine grid; see `Visits.density`.
+
+    Args:
+      xy: visited positions, units; those outside of the maze are left out.
+      shape: rows and columns of the maze.
+      num_episodes: episodes from which the positions are.
+    """
+    rows, columns = shape
+    count, _, _ = np.histogram2d(
+        -xy[:, 1],
+        xy[:, 0],
+        bins=(rows * BINS_PER_CELL, columns * BINS_PER_CELL),
+        range=((0.0, rows * base.CELL), (0.0, columns * base.CELL)),
+    )
+    return count / (num_episodes * (base.CELL / BINS_PER_CELL) ** 2)
+
+
+def save(path: pathlib.Path, visits: Visits) -> None:
+    """Draws the heatmap of one maze with the marginal frequencies beside it, as PNG."""
+    rows, columns = visits.maze.wall.shape
+    height = 4.6 * min(rows / columns, 1.4) + 1.5
+    figure = _figure(7.0, height)
+    grid = figure.add_gridspec(2, 3, width_ratios=(7, 1, 0.3), height_ratios=(1, 7))
+    axes = figure.add_subplot(grid[1, 0])
+    norm = _norm([visits])
+    _draw(axes, visits, norm)
+    axes.set_xlabel("x, units")
+    axes.set_ylabel("y, units")
+    side = base.CELL / BINS_PER_CELL
+    top = figure.add_subplot(grid[0, 0], sharex=axes)
+    x = (np.arange(visits.density.shape[1]) + 0.5) * side
+    top.bar(x, visits.density.sum(0) * side, width=side, color=palette.GOAL)
+    top.set_title(visits.title, loc="left", color=palette.INK, weight="bold")
+    right = figure.add_subplot(grid[1, 1], sharey=axes)
+    y = -(np.arange(visits.density.shape[0]) + 0.5) * side
+    right.barh(y, visits.density.sum(1) * side, height=side, color=palette.GOAL)
+    for marginal in (top, right):
+        marginal.spines[:].set_visible(False)
+        marginal.tick_params(length=0, labelbottom=False, labelleft=False)
+        marginal.set_facecolor("none")
+    bar = figure.colorbar(_mappable(norm), cax=figure.add_subplot(grid[1, 2]))
+    _style_bar(bar)
+    _save(figure, path)
+
+
+def save_together(path: pathlib.Path, visits: Sequence[Visits], *, num_columns: int = 4) -> None:
+    """Draws several mazes on one colour scale, as PNG."""
+    num_columns = min(num_columns, len(visits))
+    num_rows = -(-len(visits) // num_columns)
+    figure = _figure(3.3 * num_columns + 1.0, 3.5 * num_rows + 0.3)
+    grid = figure.add_gridspec(num_rows, num_columns + 1, width_ratios=[20] * num_columns + [1])
+    norm = _norm(visits)
+    for i, item in enumerate(visits):
+        axes = figure.add_subplot(grid[i // num_columns, i % num_columns])
+        _draw(axes, item, norm)
+        axes.set_title(item.title, loc="left", color=palette.INK, fontsize=10)
+        axes.tick_params(labelbottom=False, labelleft=False, length=0)
+    bar = figure.colorbar(_mappable(norm), cax=figure.add_subplot(grid[:, -1]))
+    _style_bar(bar)
+    _save(figure, path)
+
+
+def _figure(width: float, height: float) -> matplotlib.figure.Figure:
+    """Returns an empty figure of `width` x `height` inches."""
+    return matplotlib.figure.Figure(
+        figsize=(width, height), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
+    )
+
+
+def _save(figure: matplotlib.figure.Figure, path: pathlib.Path) -> None:
+    """Writes a figure without any display."""
+    backend_agg.FigureCanvasAgg(figure).print_png(str(path))
+
+
+def _norm(visits: Sequence[Visits]) -> matplotlib.colors.Normalize:
+    """Returns a logarithmic scale of two and a half decades below the densest places."""
+    values = np.concatenate([item.density[item.density > 0.0] for item in visits])
+    high = float(np.quantile(values, 0.998)) if len(values) else 1.0
+    return matplotlib.colors.LogNorm(high / 10**2.5, high, clip=True)
+
+
+def _mappable(norm: matplotlib.colors.Normalize) -> matplotlib.cm.ScalarMappable:
+    """Returns what the colour bar shows."""
+    return matplotlib.cm.ScalarMappable(norm, palette.HEAT)
+
+
+def _style_bar(bar: matplotlib.colorbar.Colorbar) -> None:
+    """Labels the colour bar."""
+    bar.set_label(_LABEL, color=palette.INK)
+    bar.outline.set_visible(False)
+
+
+def _draw(axes: matplotlib.axes.Axes, visits: Visits, norm: matplotlib.colors.Normalize) -> None:
+    """Draws heat, walls, goals and starts of one maze."""
+    maze = visits.maze
+    rows, columns = maze.wall.shape
+    extent = (0.0, columns * base.CELL, -rows * base.CELL, 0.0)
+    heat = np.ma.masked_less_equal(visits.density, 0.0)
+    axes.set_facecolor(matplotlib.colormaps[palette.HEAT](0.0))
+    axes.imshow(heat, norm=norm, cmap=palette.HEAT, extent=extent, interpolation="nearest")
+    door = np.asarray(maze.door)
+    for i0, j0, i1, j1 in picture.wall_rectangles(np.asarray(maze.wall) & ~door):
+        _rectangle(axes, (i0, j0, i1, j1), facecolor=palette.WALL, edgecolor=palette.WALL)
+    for i, j in np.argwhere(door):
+        _rectangle(
+            axes, (i, j, i + 1, j + 1), facecolor="none", edgecolor=palette.GOAL, linewidth=0.5
+        )
+    goal = np.asarray(maze.goal)
+    for number in range(1, int(goal.max()) + 1):
+        for i0, j0, i1, j1 in picture.wall_rectangles(goal == number):
+            _rectangle(
+                axes,
+                (i0, j0, i1, j1),
+                facecolor="none",
+                edgecolor=palette.GOAL_ACHIEVED,
+                linewidth=2,
+            )
+    starts = np.argwhere(np.asarray(maze.start))
+    if len(starts) <= maze_lib.MAX_GOALS:  # a room that starts anywhere needs no marks
+        x, y = (starts[:, 1] + 0.5) * base.CELL, -(starts[:, 0] + 0.5) * base.CELL
+        axes.plot(x, y, "o", markerfacecolor="none", markeredgecolor="white", markersize=9)
+    axes.set_xlim(extent[:2])
+    axes.set_ylim(extent[2:])
+    axes.set_aspect("equal")
+    axes.spines[:].set_visible(False)
+    axes.tick_params(colors=palette.INK)
+
+
+def _rectangle(
+    axes: matplotlib.axes.Axes, cells: tuple[int, int, int, int], **style: Any
+) -> None:
+    """Adds a rectangle of cells: first row and column, last row and column + 1."""
+    i0, j0, i1, j1 = (base.CELL * n for n in cells)
+    axes.add_patch(matplotlib.patches.Rectangle((j0, -i1), j1 - j0, i1 - i0, **style))

@@ -1,0 +1,281 @@
+"""Pictures of a maze and a robot in it, seen from above at a slant; drawn by `raycast`.
+
+Walls are drawn lower than they are, so that they hide nothing. A picture is computed at twice its
+size and averaged at the end.
+"""
+
+import dataclasses
+import functools
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from eihrl_jax import base
+from eihrl_jax.evaluation import palette, raycast
+from eihrl_jax.mazes import maze as maze_lib
+
+SUPERSAMPLING = 2
+WALL_HEIGHT = 1.1
+"""Drawn height of the walls, units."""
+
+RING = 1.5
+"""Drawn thickness of the outer ring, units; the rest of it is cut off."""
+
+PITCH = np.deg2rad(62.0)
+"""Angle of the optical axis below the horizon."""
+
+_FIELD = 3.2
+"""Distance of the camera in widths of the maze: the larger, the weaker the perspective."""
+
+_LIGHT = np.array([-0.48, -0.28, 0.83], np.float32)
+"""Unit vector towards the light: from the left, a little from the front."""
+
+_AMBIENT = 0.60
+_SHADOW = 0.30
+
+
+@dataclasses.dataclass(frozen=True)
+class Backdrop:
+    """A maze without robot, at `SUPERSAMPLING` times the size of the picture.
+
+    Attributes:
+      camera: the camera, in pixels of this array.
+      colour: [H, W, 3] in [0, 1].
+      distance: [H, W], from the camera to what is seen, units.
+      goal: int [H, W], number of the goal region on whose floor a pixel lies, 0 elsewhere.
+      is_floor: [H, W], pixels of the floor inside the maze.
+      pixels_per_unit: scale at the maze's centre.
+    """
+
+    camera: raycast.Camera
+    colour: Float[np.ndarray, "H W 3"]
+    distance: Float[np.ndarray, "H W"]
+    goal: Int[np.ndarray, "H W"]
+    is_floor: Bool[np.ndarray, "H W"]
+    pixels_per_unit: float
+
+
+def wall_rectangles(wall: Bool[np.ndarray, "R C"]) -> Int[np.ndarray, "B 4"]:
+    """Covers the wall cells with few rectangles.
+
+    Returns:
+      First row, first column, last row + 1 and last column + 1 of each; they don't overlap.
+    """
+    left = wall.copy()
+    rectangles = []
+    for i, j in np.argwhere(wall):
+        if not left[i, j]:
+            continue
+        width = int(np.argmin(np.append(left[i, j:], False)))
+        height = int(np.argmin(np.append(left[i:, j : j + width].all(1), False)))
+        left[i : i + height, j : j + width] = False
+        rectangles.append((i, j, i + height, j + width))
+    return np.array(rectangles, int).reshape(-1, 4)
+
+
+def wall_boxes(
+    wall: Bool[np.ndarray, "R C"],
+) -> tuple[Float[np.ndarray, "B 3"], Float[np.ndarray, "B 3"]]:
+    """Returns lower and upper corners of boxes that cover the wall cells, units."""
+    i0, j0, i1, j1 = wall_rectangles(wall).T
+    zero = np.zeros(len(i0))
+    low = np.stack([j0 * base.CELL, -i1 * base.CELL, zero], -1)
+    high = np.stack([j1 * base.CELL, -i0 * base.CELL, zero + WALL_HEIGHT], -1)
+    area = drawn_area(*wall.shape)
+    return np.clip(low, *area).astype(np.float32), np.clip(high, *area).astype(np.float32)
+
+
+def drawn_area(
+    num_rows: int, num_columns: int
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Returns lower and upper corner of what is drawn of a maze, units; see `RING`."""
+    cut = base.CELL - RING
+    low = np.array([cut, cut - num_rows * base.CELL, 0.0], np.float32)
+    high = np.array([num_columns * base.CELL - cut, -cut, WALL_HEIGHT], np.float32)
+    return low, high
+
+
+def fit_camera(num_rows: int, num_columns: int, *, width: int, height: int) -> raycast.Camera:
+    """Returns the camera that sees a whole maze as large as possible in `width` x `height` pixels.
+
+    Args:
+      num_rows: rows of the maze, its outer ring included.
+      num_columns: columns of it.
+      width: of the picture, pixels.
+      height: of the picture, pixels.
+    """
+    low, high = drawn_area(num_rows, num_columns)
+    size, centre = high - low, (high + low) / 2
+    back = np.array([0.0, -np.cos(PITCH), np.sin(PITCH)])
+    position = centre + _FIELD * size.max() * back
+    unit = raycast.look_at(
+        jnp.asarray(position, jnp.float32), jnp.asarray(centre, jnp.float32), 1.0, jnp.zeros(2)
+    )
+    corner = np.array(list(itertools.product(*np.stack([low, high], -1))))
+    image = np.asarray(raycast.project(unit, jnp.asarray(corner, jnp.float32)))
+    low, high = image.min(0), image.max(0)
+    focal = 0.97 * min(width / (high - low)[0], height / (high - low)[1])
+    middle = np.array([width, height]) / 2 - focal * (low + high) / 2
+    return unit.replace(
+        focal=jnp.asarray(focal, jnp.float32), centre=jnp.asarray(middle, jnp.float32)
+    )
+
+
+def draw_maze(maze: maze_lib.Maze, *, width: int, height: int) -> Backdrop:
+    """Draws a maze whose door has been drawn.
+
+    Args:
+      maze: one maze.
+      width: of the finished picture, pixels.
+      height: of the finished picture, pixels.
+    """
+    rows, columns = maze.wall.shape
+    size = {"width": SUPERSAMPLING * width, "height": SUPERSAMPLING * height}
+    camera = fit_camera(rows, columns, **size)
+    low, high = wall_boxes(np.asarray(maze.wall))
+    drawn = _draw_maze(camera, maze, jnp.asarray(low), jnp.asarray(high), **size)
+    centre = np.mean(drawn_area(rows, columns), 0)
+    depth = float(np.linalg.norm(np.asarray(camera.position) - centre))
+    colour, distance, goal, is_floor = (np.array(x) for x in drawn)
+    return Backdrop(camera, colour, distance, goal, is_floor, float(camera.focal) / depth)
+
+
+@functools.partial(jax.jit, static_argnames=("width", "height"))
+def _draw_maze(
+    camera: raycast.Camera,
+    maze: maze_lib.Maze,
+    low: Float[Array, "B 3"],
+    high: Float[Array, "B 3"],
+    *,
+    width: int,
+    height: int,
+) -> tuple[Array, Array, Array, Array]:
+    """Computes colour, distance, goal number and floor mask of a `Backdrop`."""
+    direction = raycast.pixel_rays(camera, jnp.zeros(2, jnp.int32), height=height, width=width)
+    wall = raycast.boxes(camera.position, direction, low, high)
+    floor = raycast.floor_distance(camera.position, direction)
+    distance = jnp.minimum(wall.distance, floor)
+    point = camera.position + distance[..., None] * direction
+    column_row = jnp.floor(point[..., :2] * jnp.array([1.0, -1.0]) / base.CELL).astype(jnp.int32)
+    j, i = jnp.moveaxis(column_row, -1, 0)
+    rows, columns = maze.wall.shape
+    area_low, area_high = drawn_area(rows, columns)
+    is_inside = ((point > area_low) & (point < area_high))[..., :2].all(-1)
+    is_floor = (floor < wall.distance) & is_inside
+    goal = jnp.where(is_floor, maze.goal[i.clip(0, rows - 1), j.clip(0, columns - 1)], 0)
+
+    normal = jnp.where(is_floor[..., None], jnp.array([0.0, 0.0, 1.0]), wall.normal)
+    light = jnp.asarray(_LIGHT)
+    shadow = raycast.boxes(*raycast.lit(point, normal, light), low, high).index >= 0
+    lambert = jnp.maximum((normal * light).sum(-1), 0.0) * jnp.where(shadow, 1.0 - _SHADOW * 2, 1.0)
+    crevice = 1.0 - 0.28 * jnp.exp(-_wall_distance(point[..., :2], low, high) / 0.55)
+    shade = _AMBIENT + (1.0 - _AMBIENT) * lambert / light[2]
+    shade = shade * jnp.where(is_floor, crevice, 1.0)
+
+    tile = jnp.where(((i + j) % 2 == 0)[..., None], _rgb("FLOOR"), _rgb("FLOOR_ALTERNATE"))
+    surface = jnp.where(is_floor[..., None], tile, _rgb("WALL"))
+    is_seen = is_floor | (wall.index >= 0)
+    colour = jnp.where(is_seen[..., None], surface * shade[..., None], _rgb("PAPER"))
+    return colour.clip(0.0, 1.0), distance, goal, is_floor
+
+
+def _rgb(name: str) -> Float[Array, "3"]:
+    """Returns a colour of the palette by its name."""
+    return jnp.asarray(palette.rgb(getattr(palette, name)))
+
+
+def _wall_distance(
+    xy: Float[Array, "H W 2"], low: Float[Array, "B 3"], high: Float[Array, "B 3"]
+) -> Float[Array, "H W"]:
+    """Returns the distance from points of the floor to the nearest wall, units."""
+
+    def nearer(best: Array, box: tuple[Array, Array]) -> tuple[Array, None]:
+        gap = jnp.maximum(jnp.maximum(box[0][:2] - xy, xy - box[1][:2]), 0.0)
+        return jnp.minimum(best, jnp.linalg.norm(gap, axis=-1)), None
+
+    return jax.lax.scan(nearer, jnp.full(xy.shape[:-1], raycast.FAR), (low, high))[0]
+
+
+@functools.partial(jax.jit, static_argnames=("size",))
+def draw_robot(
+    camera: raycast.Camera,
+    corner: Int[Array, "2"],
+    start: Float[Array, "G 3"],
+    end: Float[Array, "G 3"],
+    radius: Float[Array, " G"],
+    *,
+    size: int,
+) -> tuple[Float[Array, "S S 3"], Float[Array, "S S"], Bool[Array, "S S"]]:
+    """Draws a robot's capsules in a window of the picture.
+
+    Args:
+      camera: the camera of the backdrop.
+      corner: column and row of the window's first pixel.
+      start: one end of each geom's axis, units; the first geom is the torso.
+      end: the other end.
+      radius: of each geom, units.
+      size: side of the window, pixels, S.
+
+    Returns:
+      Colour, distance (`raycast.FAR` beside the robot), and where its shadow falls on the floor.
+    """
+    direction = raycast.pixel_rays(camera, corner, height=size, width=size)
+    hit = raycast.capsules(camera.position, direction, start, end, radius)
+    point = camera.position + hit.distance[..., None] * direction
+    light = jnp.asarray(_LIGHT)
+    self_shadow = raycast.capsules(*raycast.lit(point, hit.normal, light), start, end, radius)
+    lambert = jnp.maximum((hit.normal * light).sum(-1), 0.0)
+    lambert = lambert * jnp.where(self_shadow.index >= 0, 0.35, 1.0)
+    half = light - direction
+    half = half / jnp.linalg.norm(half, axis=-1, keepdims=True)
+    gloss = 0.30 * jnp.maximum((hit.normal * half).sum(-1), 0.0) ** 30
+    sky = 0.5 + 0.5 * hit.normal[..., 2]
+    surface = jnp.where((hit.index == 0)[..., None], _rgb("ROBOT"), _rgb("ROBOT_LIMB"))
+    shade = 0.40 + 0.16 * sky + 0.52 * lambert
+    colour = (surface * shade[..., None] + gloss[..., None]).clip(0.0, 1.0)
+
+    floor = raycast.floor_distance(camera.position, direction)
+    floor_point = camera.position + floor[..., None] * direction
+    up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), floor_point.shape)
+    shadow = raycast.capsules(*raycast.lit(floor_point, up, light), start, end, radius)
+    return colour, hit.distance, shadow.index >= 0
+
+
+def place_robot(
+    canvas: Float[np.ndarray, "H W 3"],
+    backdrop: Backdrop,
+    capsules: tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, "G 3"], Float[np.ndarray, " G"]],
+    *,
+    reach: float,
+) -> None:
+    """Draws a robot and its shadow into a canvas of the backdrop's size, in place.
+
+    Args:
+      canvas: what is drawn so far.
+      backdrop: the maze.
+      capsules: ends and radii of the robot's geoms, units.
+      reach: distance from the torso within which robot and shadow lie, units.
+    """
+    start, end, radius = capsules
+    height, width = canvas.shape[:2]
+    size = min(2 * int(np.ceil(1.15 * reach * backdrop.pixels_per_unit)), height, width)
+    torso = raycast.project(backdrop.camera, jnp.asarray((start[:1] + end[:1]) / 2, jnp.float32))
+    corner = np.round(np.asarray(torso)[0] - size / 2).astype(int)
+    corner = np.clip(corner, 0, [width - size, height - size])
+    drawn = draw_robot(backdrop.camera, corner, start, end, radius, size=size)
+    colour, distance, shadow = (np.asarray(x) for x in drawn)
+    window = np.s_[corner[1] : corner[1] + size, corner[0] : corner[0] + size]
+    part = canvas[window]
+    part[shadow & backdrop.is_floor[window]] *= 1.0 - _SHADOW
+    is_robot = distance < backdrop.distance[window]
+    part[is_robot] = colour[is_robot]
+
+
+def finish(canvas: Float[np.ndarray, "H W 3"]) -> np.ndarray:
+    """Averages a canvas down to the finished picture, uint8 [H / 2, W / 2, 3]."""
+    height, width = (n // SUPERSAMPLING for n in canvas.shape[:2])
+    blocks = canvas.reshape(height, SUPERSAMPLING, width, SUPERSAMPLING, 3)
+    return np.round(255.0 * blocks.mean((1, 3))).astype(np.uint8)

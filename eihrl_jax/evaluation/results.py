@@ -1,0 +1,182 @@
+"""What an evaluation found, as plain data: one `Cell` per maze and system, and `eval.json`.
+
+`eval.json` holds the fields of `Evaluation`. Rates lie in [0, 1]; a number that does not exist is
+null.
+"""
+
+import collections
+import dataclasses
+import pathlib
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from eihrl_jax import base, config
+from eihrl_jax.evaluation import statistics
+
+FORMAT = 1
+MOVEMENTS = ("oracle", "full")
+OUTCOMES = ("solved", "fallen", "unstable", "late")
+"""How an episode ends: all goals achieved; else the robot had fallen; else its simulation broke
+down; else it was upright when the last decision was spent."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class System:
+    """What is evaluated.
+
+    Attributes:
+      robot: name of the robot.
+      movement: "oracle", where the simulator moves the torso, or "full", where the robot walks.
+      high: label of the high level; "random" for uniform directions.
+      low: label of the low level; None with oracle movement.
+    """
+
+    robot: str
+    movement: str
+    high: str
+    low: str | None
+
+
+@dataclasses.dataclass(frozen=True)
+class Episodes:
+    """Numbers of E finished episodes in one maze.
+
+    Attributes:
+      achieved: int [E], goals reached.
+      returns: float [E], undiscounted return, unitless.
+      decisions: int [E], decisions used.
+      has_fallen: bool [E], whether the robot ever fell.
+      is_unstable: bool [E], whether its simulation broke down (NaN).
+      seed: int [E], evaluation seed.
+    """
+
+    achieved: Int[np.ndarray, " E"]
+    returns: Float[np.ndarray, " E"]
+    decisions: Int[np.ndarray, " E"]
+    has_fallen: Bool[np.ndarray, " E"]
+    is_unstable: Bool[np.ndarray, " E"]
+    seed: Int[np.ndarray, " E"]
+
+    def outcomes(self, num_goals: int) -> list[str]:
+        """Names each episode's outcome, one of `OUTCOMES`."""
+        conditions = [self.achieved == num_goals, self.has_fallen, self.is_unstable]
+        index = np.select(conditions, [0, 1, 2], default=3)
+        return [OUTCOMES[i] for i in index]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Outcomes:
+    """Number of episodes by how they ended, see `OUTCOMES`."""
+
+    solved: int
+    fallen: int
+    unstable: int
+    late: int
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Cell:
+    """The result of one system in one maze.
+
+    Attributes:
+      maze: name of the maze.
+      system: what was evaluated.
+      seeds: evaluation seeds.
+      num_episodes: episodes over all seeds.
+      num_goals: goals per episode.
+      num_decisions: time limit in decisions.
+      success: achieved goals / total goals, with its 95 % interval.
+      seed_rates: success rate of each seed.
+      return_mean: mean undiscounted return.
+      decisions_mean: mean number of decisions used.
+      decisions_solved: the same over solved episodes; None where there is none.
+      num_falls: episodes in which the robot fell.
+      outcomes: number of episodes by outcome.
+      seconds: wall time of the episodes, compilation excluded.
+    """
+
+    maze: str
+    system: System
+    seeds: tuple[int, ...]
+    num_episodes: int
+    num_goals: int
+    num_decisions: int
+    success: statistics.Success
+    seed_rates: tuple[float, ...]
+    return_mean: float
+    decisions_mean: float
+    decisions_solved: float | None
+    num_falls: int
+    outcomes: Outcomes
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """Some systems in some mazes.
+
+    Attributes:
+      format: of the file, `FORMAT`.
+      about: how it was made, plain JSON.
+      cells: the results.
+    """
+
+    format: int = FORMAT
+    about: Any = None
+    cells: tuple[Cell, ...]
+
+
+def summarise(
+    maze: str,
+    system: System,
+    episodes: Episodes,
+    *,
+    num_goals: int,
+    num_decisions: int,
+    seconds: float,
+) -> Cell:
+    """Summarises the episodes of one system in one maze."""
+    seeds = tuple(int(seed) for seed in dict.fromkeys(episodes.seed.tolist()))
+    counts = collections.Counter(episodes.outcomes(num_goals))
+    solved = episodes.decisions[episodes.achieved == num_goals]
+    return Cell(
+        maze=maze,
+        system=system,
+        seeds=seeds,
+        num_episodes=len(episodes.achieved),
+        num_goals=num_goals,
+        num_decisions=num_decisions,
+        success=statistics.success(episodes.achieved, num_goals),
+        seed_rates=tuple(
+            float(episodes.achieved[episodes.seed == seed].mean() / num_goals) for seed in seeds
+        ),
+        return_mean=float(episodes.returns.mean()),
+        decisions_mean=float(episodes.decisions.mean()),
+        decisions_solved=float(solved.mean()) if len(solved) else None,
+        num_falls=int(episodes.has_fallen.sum()),
+        outcomes=Outcomes(**{name: counts[name] for name in OUTCOMES}),
+        seconds=seconds,
+    )
+
+
+def save(path: pathlib.Path, evaluation: Evaluation) -> None:
+    """Writes `eval.json`."""
+    path.write_text(config.to_json(evaluation))
+
+
+def load(path: pathlib.Path) -> Evaluation:
+    """Reads an `eval.json`.
+
+    Raises:
+      base.UserError: the file can't be read or is no `eval.json` of this format.
+    """
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise base.UserError(f"{path} can't be read: {error}") from None
+    evaluation = config.from_json(Evaluation, text, source=str(path))
+    if evaluation.format != FORMAT:
+        raise base.UserError(f"{path}: eval.json has format {evaluation.format}, expected {FORMAT}")
+    return evaluation
