@@ -1,10 +1,9 @@
 """What a long job shows: success, steps per second, time left, and how long compiling took."""
 
 import contextlib
-import sys
 import time
 from collections.abc import Iterator, Mapping
-from typing import Any, Self, TextIO
+from typing import Any
 
 import rich.console
 import rich.progress
@@ -28,7 +27,7 @@ class Progress:
         *,
         unit: str = "steps",
         done: int = 0,
-        file: TextIO | None = None,
+        console: rich.console.Console | None = None,
     ):
         """Prepares a job.
 
@@ -37,9 +36,9 @@ class Progress:
           total: number of steps of the whole job.
           unit: what a step is called.
           done: steps that were done earlier, by the run that is resumed.
-          file: where to write, standard output by default.
+          console: where to write, standard output by default.
         """
-        self._console = rich.console.Console(file=file or sys.stdout, highlight=False)
+        self._console = console or rich.console.Console()
         self._title, self._unit, self._total = title, unit, total
         self._done = done
         self._metrics: dict[str, float] = {}
@@ -51,7 +50,7 @@ class Progress:
             self._bar = rich.progress.Progress(*columns, console=self._console)
             self._task = self._bar.add_task(title, total=total, completed=done, text="")
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Progress":
         """Shows the bar."""
         if self._bar is not None:
             self._bar.start()
@@ -75,7 +74,7 @@ class Progress:
 
     def print(self, line: str) -> None:
         """Prints a line above the bar."""
-        self._console.print(line, markup=False, soft_wrap=True)
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def update(self, done: int, metrics: Mapping[str, Any] | None = None) -> None:
         """Tells how far the job is.

@@ -16,7 +16,7 @@ import json
 import os
 import pathlib
 from collections.abc import Collection, Mapping
-from typing import Any, Self
+from typing import Any
 
 import jax
 import tensorboardX
@@ -53,7 +53,7 @@ class RunFolder:
         *,
         resume: bool = False,
         may_change: Collection[str] = (),
-    ) -> Self:
+    ) -> "RunFolder":
         """Starts a run in a new folder, or goes on in an old one.
 
         Args:
@@ -87,7 +87,7 @@ class RunFolder:
         _write_whole(path / "versions.json", json.dumps([*starts, versions.describe()], indent=2))
         return run
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "RunFolder":
         """Returns the run folder itself."""
         return self
 

@@ -1,0 +1,14 @@
+"""What holds for every test: CPU with eight virtual devices, and JAX at its strictest.
+
+Shapes are checked by beartype (see `addopts` in pyproject.toml) and warnings are errors.
+"""
+
+import os
+
+import jax
+
+# A test marked `gpu` needs JAX_PLATFORMS=cuda from outside.
+jax.config.update("jax_platforms", os.environ.get("JAX_PLATFORMS", "cpu"))
+jax.config.update("jax_num_cpu_devices", 8)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
