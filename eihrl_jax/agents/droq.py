@@ -5,7 +5,6 @@ Dropout is on in the online critics, the target critics and the actor's loss; th
 mean of the critics, the target their minimum.
 """
 
-import dataclasses
 from typing import Any
 
 import jax
@@ -15,33 +14,9 @@ from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base
+from eihrl_jax.config import low as low_config
 from eihrl_jax.networks import droq as networks
 from eihrl_jax.ops import tanh_normal
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Options:
-    """Hyper-parameters; defaults of the authors' code for the ant.
-
-    Attributes:
-      hidden_sizes: widths of the hidden layers of all networks.
-      num_critics: size M of the ensemble.
-      dropout_rate: of the critics' hidden units.
-      learning_rate: of Adam for actor, critics and temperature.
-      target_rate: tau of the exponential moving average of the target critics.
-      target_entropy: what the temperature steers the policy's entropy to, nats.
-      initial_temperature: alpha at the start.
-      actor_period: critic updates per update of actor and temperature.
-    """
-
-    hidden_sizes: tuple[int, ...] = (256, 256)
-    num_critics: int = 2
-    dropout_rate: float = 0.01
-    learning_rate: float = 3e-4
-    target_rate: float = 0.005
-    target_entropy: float = -4.0
-    initial_temperature: float = 1.0
-    actor_period: int = 20
 
 
 @struct.dataclass
@@ -72,7 +47,7 @@ class DroqState:
 class Droq:
     """The learner's functions for one size of observation and action; holds no state."""
 
-    def __init__(self, num_features: int, num_actions: int, options: Options):
+    def __init__(self, num_features: int, num_actions: int, options: low_config.Droq):
         """Builds networks and optimisers.
 
         Args:
@@ -82,8 +57,8 @@ class Droq:
         """
         self.options = options
         self._num_features = num_features
-        self._actor = networks.Actor(num_actions, options.hidden_sizes)
-        self._critic = networks.Critic(options.hidden_sizes, options.dropout_rate)
+        self._actor = networks.Actor(num_actions, options.hidden)
+        self._critic = networks.Critic(options.hidden, options.dropout)
         self._optimizer = optax.adam(options.learning_rate)
         self._num_actions = num_actions
 
@@ -97,7 +72,7 @@ class Droq:
             self._critic.init(one_key, obs, action, dropout_key)["params"]
             for one_key in jax.random.split(critic_key, self.options.num_critics)
         )
-        log_temperature = jnp.log(jnp.float32(self.options.initial_temperature))
+        log_temperature = jnp.log(jnp.float32(self.options.temperature))
         return DroqState(
             actor_params=actor_params,
             critic_params=critic_params,
@@ -191,7 +166,7 @@ class Droq:
         (loss, entropy), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.actor_params)
         updates, actor_opt_state = self._optimizer.update(grads, state.actor_opt_state)
         # d/d(log alpha) of log_alpha * (entropy - target_entropy), as in the authors' code.
-        temperature_grad = entropy - self.options.target_entropy
+        temperature_grad = entropy - self.options.target_entropy * self._num_actions
         step, temperature_opt_state = self._optimizer.update(
             temperature_grad, state.temperature_opt_state
         )

@@ -5,21 +5,22 @@ be looked at again as if another direction had been asked for (`relabel`); `feat
 network's input of it.
 """
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
+from eihrl_jax.config import low as low_config
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import walls
 from eihrl_jax.robots import robot as robot_lib
 
-FRAMES = ("world", "direction")
+
+METRICS = ("step_x", "step_y", "switched", "along", "lateral", "fell", "broke_down")
+"""What `Locomotion` tells about each step, see there."""
 
 
 @struct.dataclass
@@ -37,34 +38,6 @@ class LowObs:
     displacement_xy: Float[Array, "2"]
     time_left: Float[Array, ""]
     direction: Int[Array, ""]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class InputOptions:
-    """How observations become the network's input.
-
-    Attributes:
-      frame: "world" as in the paper, or "direction": turned such that the subgoal is x+.
-      use_progress: adds the displacement since the subgoal was given and the time left.
-    """
-
-    frame: str = "world"
-    use_progress: bool = False
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class RewardOptions:
-    """The intrinsic reward, a difference of potentials of the displacement since the subgoal.
-
-    Attributes:
-      scale: alpha of eq. 1.
-      lateral_weight: what a unit of sideways drift costs against a unit of progress; 0 in eq. 1.
-      stops_at_cell: whether progress beyond one cell pays nothing; false in eq. 1.
-    """
-
-    scale: float = 3.0
-    lateral_weight: float = 0.0
-    stops_at_cell: bool = False
 
 
 @struct.dataclass
@@ -133,7 +106,7 @@ def is_fallen(qpos: Float[Array, " nq"], robot: robot_lib.Robot) -> Bool[Array, 
 
 
 def features(
-    obs: LowObs, robot: robot_lib.Robot, options: InputOptions
+    obs: LowObs, robot: robot_lib.Robot, options: low_config.LowInput
 ) -> Float[Array, " num_features"]:
     """Returns the network's input: proprioception, two-hot direction, and perhaps progress.
 
@@ -155,7 +128,7 @@ def ctrl_from_action(
     action: Float[Array, " nu"],
     direction: Int[Array, ""],
     robot: robot_lib.Robot,
-    options: InputOptions,
+    options: low_config.LowInput,
 ) -> Float[Array, " nu"]:
     """Returns the controls of a network's action; only a sliding robot's depend on the frame."""
     if robot.root != "slide" or options.frame == "world":
@@ -167,7 +140,7 @@ def action_from_ctrl(
     ctrl: Float[Array, " nu"],
     direction: Int[Array, ""],
     robot: robot_lib.Robot,
-    options: InputOptions,
+    options: low_config.LowInput,
 ) -> Float[Array, " nu"]:
     """Undoes `ctrl_from_action`."""
     if robot.root != "slide" or options.frame == "world":
@@ -179,7 +152,7 @@ def reward(
     displacement_xy: Float[Array, "2"],
     step_xy: Float[Array, "2"],
     direction: Int[Array, ""],
-    options: RewardOptions,
+    options: low_config.LowReward,
 ) -> Float[Array, ""]:
     """Computes the intrinsic reward of one control step.
 
@@ -206,6 +179,23 @@ def reward(
     return options.scale * gain
 
 
+def experience(
+    before: base.EnvState, ctrl: Float[Array, " nu"], after: base.EnvState
+) -> Experience:
+    """Returns what is to be stored of a step, given the environment before and after it.
+
+    `after` may already be reset: its final observation and its metrics are still of the step.
+    """
+    return Experience(
+        obs=before.obs,
+        ctrl=ctrl,
+        step_xy=jnp.stack([after.metrics["step_x"], after.metrics["step_y"]]),
+        terminated=after.terminated,
+        is_switch=after.metrics["switched"] > 0,
+        next_obs=after.final_obs,
+    )
+
+
 def relabel(experience: Experience, direction: Int[Array, ""]) -> Experience:
     """Returns a stored step as if `direction` had been asked for; physics doesn't depend on it."""
     next_direction = jnp.where(
@@ -220,8 +210,8 @@ def relabel(experience: Experience, direction: Int[Array, ""]) -> Experience:
 def transition(
     experience: Experience,
     robot: robot_lib.Robot,
-    input_options: InputOptions,
-    reward_options: RewardOptions,
+    input_options: low_config.LowInput,
+    reward_options: low_config.LowReward,
     gamma: float,
 ) -> base.Transition:
     """Returns a stored step as the learner sees it: features, action, reward, discount."""
@@ -242,8 +232,9 @@ class Locomotion:
     the robot falls or the simulation breaks down; truncated after `episode_steps` control steps.
     Reset: a random room and start, random yaw, noise on joints and velocities.
 
-    Metrics, per step: `switched` 1 where a subgoal has just ended, then `along` and `lateral` hold
-    its displacement in units; `fell` and `broke_down` 1 where the episode ended so.
+    Metrics, per step: `step_x` and `step_y`, the torso's movement in units; `switched` 1 where a
+    subgoal has just ended, then `along` and `lateral` hold its displacement in units; `fell` and
+    `broke_down` 1 where the episode ended so.
     """
 
     def __init__(
@@ -251,7 +242,7 @@ class Locomotion:
         engine: engine_lib.Engine,
         rooms: maze_lib.Maze,
         *,
-        reward_options: RewardOptions,
+        reward_options: low_config.LowReward,
         episode_steps: int = 500,
     ):
         """Builds the environment.
@@ -283,7 +274,7 @@ class Locomotion:
         )
         obs = self._observe(walk)
         zero, no = jnp.float32(0.0), jnp.zeros((), bool)
-        metrics = dict.fromkeys(("switched", "along", "lateral", "fell", "broke_down"), zero)
+        metrics = dict.fromkeys(METRICS, zero)
         return base.EnvState(
             inner=walk,
             obs=obs,
@@ -303,7 +294,9 @@ class Locomotion:
         near = walls.nearby(self._room(walk.room), before_xy, self.robot.num_walls)
         stepped = self._engine.step(walk.physics, action, near)
         is_finite = jnp.isfinite(jnp.concatenate([stepped.qpos, stepped.qvel])).all()
-        physics = jax.tree.map(lambda new, old: jnp.where(is_finite, new, old), stepped, walk.physics)
+        physics = jax.tree.map(
+            lambda new, old: jnp.where(is_finite, new, old), stepped, walk.physics
+        )
 
         displacement_xy = physics.qpos[:2] - walk.subgoal_xy
         along, lateral = rotations.to_direction_frame(displacement_xy, walk.direction)
@@ -319,12 +312,8 @@ class Locomotion:
             step=step,
         )
         obs = self._observe(new_walk)
-        gain = reward(
-            before_xy - walk.subgoal_xy,
-            physics.qpos[:2] - before_xy,
-            walk.direction,
-            self._reward_options,
-        )
+        step_xy = physics.qpos[:2] - before_xy
+        gain = reward(before_xy - walk.subgoal_xy, step_xy, walk.direction, self._reward_options)
         switched = (is_switch & ~terminated).astype(jnp.float32)
         return base.EnvState(
             inner=new_walk,
@@ -334,6 +323,8 @@ class Locomotion:
             terminated=terminated,
             truncated=(step >= self._episode_steps) & ~terminated,
             metrics={
+                "step_x": step_xy[0],
+                "step_y": step_xy[1],
                 "switched": switched,
                 "along": switched * along,
                 "lateral": switched * lateral,
@@ -350,9 +341,7 @@ class Locomotion:
         steps_left = self.robot.steps_per_subgoal - walk.step % self.robot.steps_per_subgoal
         return observe(walk.physics, walk.subgoal_xy, steps_left, walk.direction, self.robot)
 
-    def _draw_pose(
-        self, xy: Float[Array, "2"], key: Key[Array, ""]
-    ) -> engine_lib.PhysicsState:
+    def _draw_pose(self, xy: Float[Array, "2"], key: Key[Array, ""]) -> engine_lib.PhysicsState:
         """Returns the standing robot at `xy`, turned at random, its joints a little off."""
         yaw_key, qpos_key, qvel_key = jax.random.split(key, 3)
         yaw = jax.random.uniform(yaw_key, (), minval=-jnp.pi, maxval=jnp.pi)

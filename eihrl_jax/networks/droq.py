@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float, Key, UInt32
 
 LOG_STD_RANGE = (-20.0, 2.0)
 
@@ -62,17 +62,29 @@ class Critic(nn.Module):
         return nn.Dense(1, kernel_init=_DENSE_INIT)(hidden)[..., 0]
 
 
-def dropout(
-    units: Float[Array, "B H"], rate: float, key: Key[Array, ""]
-) -> Float[Array, "B H"]:
+def dropout(units: Float[Array, "B H"], rate: float, key: Key[Array, ""]) -> Float[Array, "B H"]:
     """Drops units with probability `rate`, and scales the others by 1 / (1 - rate).
 
-    Each 32-bit random word decides about two units, with probabilities that are multiples of
-    2^-16: drawing one word per unit costs more than the layer's matrix product. H must be even.
+    Each 32-bit word decides about two units, with probabilities that are multiples of 2^-16. H must
+    be even.
     """
     if rate == 0.0:
         return units
-    words = jax.random.bits(key, (*units.shape[:-1], units.shape[-1] // 2), jnp.uint32)
+    words = _hashed_words((units.shape[0], units.shape[1] // 2), key)
     halves = jax.lax.bitcast_convert_type(words, jnp.uint16).reshape(units.shape)
     is_kept = halves >= jnp.uint16(round(rate * 2**16))
     return jnp.where(is_kept, units / (1.0 - rate), 0.0)
+
+
+def _hashed_words(shape: tuple[int, int], key: Key[Array, ""]) -> UInt32[Array, "B W"]:
+    """Returns hashed counters: murmur3's finaliser of a Weyl sequence, seeded twice by the key.
+
+    Good enough to drop units, and an eighth of the cost of threefry on CPU, where drawing the masks
+    with `jax.random.bits` takes as long as the matrix products of an update.
+    """
+    seed, stir = jax.random.key_data(key)
+    counter = jax.lax.iota(jnp.uint32, shape[0] * shape[1]).reshape(shape)
+    word = counter * jnp.uint32(0x9E3779B9) + seed
+    word = (word ^ (word >> 16)) * jnp.uint32(0x85EBCA6B) + stir
+    word = (word ^ (word >> 13)) * jnp.uint32(0xC2B2AE35)
+    return word ^ (word >> 16)

@@ -1,0 +1,158 @@
+"""Options of the low level's training: input, reward, learner, and the run around them."""
+
+import dataclasses
+import pathlib
+from typing import Literal
+
+from eihrl_jax.config import checks
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LowInput:
+    """How observations become the network's input.
+
+    Attributes:
+      frame: "world" as in the paper, or "direction": turned such that the subgoal points along x+.
+      use_progress: adds the displacement since the subgoal was given and the time left.
+    """
+
+    frame: Literal["world", "direction"] = "world"
+    use_progress: bool = False
+
+    def __post_init__(self) -> None:
+        """Checks the frame, which may come from a file."""
+        checks.one_of("frame", self.frame, ("world", "direction"))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LowReward:
+    """The intrinsic reward, a difference of potentials of the displacement since the subgoal.
+
+    Attributes:
+      scale: alpha of eq. 1.
+      lateral_weight: price of a unit of sideways drift against a unit of progress; 0 in eq. 1.
+      stops_at_cell: whether progress beyond one cell pays nothing; not so in eq. 1.
+    """
+
+    scale: float = 3.0
+    lateral_weight: float = 0.0
+    stops_at_cell: bool = False
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        checks.in_range("scale", self.scale, above=0.0)
+        checks.in_range("lateral_weight", self.lateral_weight, 0.0, 10.0)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Droq:
+    """Hyper-parameters of DroQ; defaults of its authors' code for the ant.
+
+    Attributes:
+      hidden: widths of the hidden layers of all networks, even numbers.
+      num_critics: size M of the ensemble.
+      dropout: probability with which a critic's hidden unit is dropped.
+      learning_rate: of Adam for actor, critics and temperature.
+      target_rate: tau of the moving average that the target critics are.
+      target_entropy: what the temperature steers the policy's entropy to, nats per action
+        dimension; -1/2 gives the authors' -4 for the ant's eight.
+      temperature: alpha at the start.
+      actor_period: critic updates per update of actor and temperature.
+      batch_size: transitions per update.
+      gamma: discount per control step.
+    """
+
+    hidden: tuple[int, ...] = (256, 256)
+    num_critics: int = 2
+    dropout: float = 0.01
+    learning_rate: float = 3e-4
+    target_rate: float = 0.005
+    target_entropy: float = -0.5
+    temperature: float = 1.0
+    actor_period: int = 20
+    batch_size: int = 256
+    gamma: float = 0.99
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        for width in self.hidden:
+            checks.in_range("hidden", width, 2, 4096)
+            checks.divides("2", 2, "hidden", width)
+        checks.in_range("num_critics", self.num_critics, 1, 100)
+        checks.in_range("dropout", self.dropout, 0.0, below=1.0)
+        checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
+        checks.in_range("target_rate", self.target_rate, above=0.0, high=1.0)
+        checks.in_range("target_entropy", self.target_entropy, -10.0, 10.0)
+        checks.in_range("temperature", self.temperature, above=0.0)
+        checks.in_range("actor_period", self.actor_period, 1, 1000)
+        checks.in_range("batch_size", self.batch_size, 1, 2**20)
+        checks.in_range("gamma", self.gamma, 0.0, 1.0)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LowConfig:
+    """A training run of the low level.
+
+    Attributes:
+      preset: name of the preset that the defaults came from.
+      seed: of every random number of the run.
+      run: run folder, made by the run.
+      resume: continue the run that the folder holds.
+      robot: which robot learns to walk.
+      engine: "mujoco" for the C engine on the processor, "mjx" for JAX on an accelerator.
+      num_envs: robots that walk at the same time.
+      num_iterations: vector steps of the run; env steps divided by `num_envs`.
+      warmup_iterations: first vector steps, with random actions and without updates.
+      updates_per_iteration: critic updates per vector step.
+      capacity: transitions that the replay memory holds, a multiple of `num_envs`.
+      relabel: look at each drawn transition as if a random direction had been asked for.
+      num_rooms: random rooms to walk in, every second one with inner walls; 0: open floor alone.
+      episode_steps: control steps per episode.
+      low_input: how observations become the network's input.
+      reward: the intrinsic reward.
+      droq: hyper-parameters of the learner.
+      log_every: iterations per row of metrics, and per compiled piece of training.
+      evaluate_every: iterations between measurements of the subgoal statistics.
+      checkpoint_every: iterations between checkpoints.
+      num_postures: postures recorded at the end for the high level's pictures.
+    """
+
+    preset: str = "paper"
+    seed: int = 0
+    run: pathlib.Path = pathlib.Path("runs/low")
+    resume: bool = False
+    robot: str = "ant"
+    engine: Literal["mujoco", "mjx"] = "mujoco"
+    num_envs: int = 1
+    num_iterations: int = 400_000
+    warmup_iterations: int = 5_000
+    updates_per_iteration: int = 20
+    capacity: int = 400_000
+    relabel: bool = False
+    num_rooms: int = 0
+    episode_steps: int = 500
+    low_input: LowInput = LowInput()
+    reward: LowReward = LowReward()
+    droq: Droq = Droq()
+    log_every: int = 1_000
+    evaluate_every: int = 10_000
+    checkpoint_every: int = 20_000
+    num_postures: int = 2048
+
+    def __post_init__(self) -> None:
+        """Checks ranges, and how the options fit together."""
+        checks.in_range("seed", self.seed, 0, 2**32 - 1)
+        checks.one_of("engine", self.engine, ("mujoco", "mjx"))
+        checks.in_range("num_envs", self.num_envs, 1, 2**16)
+        checks.in_range("num_iterations", self.num_iterations, 1, 2**31 - 1)
+        checks.in_range("warmup_iterations", self.warmup_iterations, 1, 2**31 - 1)
+        checks.in_range("updates_per_iteration", self.updates_per_iteration, 1, 1000)
+        checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
+        checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
+        checks.in_range("num_rooms", self.num_rooms, 0, 4096)
+        checks.in_range("episode_steps", self.episode_steps, 1, 100_000)
+        checks.in_range("num_postures", self.num_postures, 1, 1_000_000)
+        checks.in_range("log_every", self.log_every, 1)
+        checks.divides("log_every", self.log_every, "num_iterations", self.num_iterations)
+        checks.divides("log_every", self.log_every, "evaluate_every", self.evaluate_every)
+        checks.divides("log_every", self.log_every, "checkpoint_every", self.checkpoint_every)

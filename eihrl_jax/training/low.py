@@ -1,0 +1,306 @@
+"""Training the low level: walk, store, learn, measure, checkpoint (paper, Sec. 3.2, first stage)."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Float, Int, Key
+
+from eihrl_jax import base, policies, replay, robots
+from eihrl_jax.agents import droq
+from eihrl_jax.config import low as low_config
+from eihrl_jax.envs import locomotion, rooms, wrappers
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.robots import postures
+from eihrl_jax.training import progress as progress_lib
+from eihrl_jax.training import run_folder, subgoals, versions
+
+
+@struct.dataclass
+class LowState:
+    """All that a run needs to go on. N: number of environments.
+
+    Attributes:
+      learner: networks and optimisers.
+      memory: stored steps.
+      envs: environments with leading axis N.
+      key: of what comes next.
+      iteration: int32, vector steps done.
+    """
+
+    learner: droq.DroqState
+    memory: replay.Replay
+    envs: base.EnvState
+    key: Key[Array, ""]
+    iteration: Int[Array, ""]
+
+
+class LowTrainer:
+    """The functions of one run; holds no state that changes."""
+
+    def __init__(self, config: low_config.LowConfig):
+        """Builds physics, environments and learner.
+
+        Args:
+          config: the run's options.
+
+        Raises:
+          base.UserError: the robot is unknown.
+        """
+        self.config = config
+        self.robot = robots.load(config.robot)
+        engine = engine_lib.make(self.robot, config.engine)
+        self._num_actions = engine.model.nu
+        floor = (
+            rooms.random_rooms(config.num_rooms, config.seed)
+            if config.num_rooms
+            else rooms.open_floor()
+        )
+        make_env = functools.partial(
+            locomotion.Locomotion,
+            engine,
+            reward_options=config.reward,
+            episode_steps=config.episode_steps,
+        )
+        self._env = wrappers.AutoReset(make_env(floor))
+        self._test_env = wrappers.AutoReset(make_env(rooms.open_floor()))
+        obs = jax.eval_shape(self._env.reset, jax.random.key(0)).obs
+        self.num_features = jax.eval_shape(self._features, obs).shape[0]
+        self._learner = droq.Droq(self.num_features, self._num_actions, config.droq)
+
+    def init(self, key: Key[Array, ""]) -> LowState:
+        """Returns the state of a run that is about to start, its memory still empty."""
+        key, learner_key, env_key = jax.random.split(key, 3)
+        envs = jax.vmap(self._env.reset)(jax.random.split(env_key, self.config.num_envs))
+        ctrl = jnp.zeros((self.config.num_envs, self._num_actions))
+        example = jax.eval_shape(self._walk, envs, ctrl)[1]
+        one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), example)
+        return LowState(
+            learner=self._learner.init(learner_key),
+            memory=replay.init(one, self.config.capacity),
+            envs=envs,
+            key=key,
+            iteration=jnp.int32(0),
+        )
+
+    def warm_up(self, state: LowState) -> LowState:
+        """Fills the memory with steps of random controls."""
+
+        def body(state: LowState, _: None) -> tuple[LowState, None]:
+            key, ctrl_key = jax.random.split(state.key)
+            shape = (self.config.num_envs, self._num_actions)
+            ctrl = jax.random.uniform(ctrl_key, shape, minval=-1.0, maxval=1.0)
+            envs, stored = self._walk(state.envs, ctrl)
+            memory = replay.add(state.memory, stored)
+            return state.replace(envs=envs, memory=memory, key=key), None
+
+        return jax.lax.scan(body, state, length=self.config.warmup_iterations)[0]
+
+    def advance(self, state: LowState) -> tuple[LowState, dict[str, Float[Array, ""]]]:
+        """Runs `log_every` iterations: each walks one step in every environment, then learns.
+
+        Returns:
+          The new state, and the means of the learner's and the environments' metrics.
+        """
+        state, (learned, walked) = jax.lax.scan(self._iterate, state, length=self.config.log_every)
+        metrics = {f"learner/{name}": jnp.nanmean(value) for name, value in learned.items()}
+        return state, metrics | subgoals.summarise(walked)
+
+    def act(
+        self, actor_params: Any, obs: locomotion.LowObs, key: Key[Array, ""], deterministic: bool
+    ) -> Float[Array, " nu"]:
+        """Returns the controls of one robot."""
+        action = self._learner.act(
+            actor_params, self._features(obs), key, deterministic=deterministic
+        )
+        return locomotion.ctrl_from_action(action, obs.direction, self.robot, self.config.low_input)
+
+    def measure(
+        self, actor_params: Any, key: Key[Array, ""], num_envs: int = 64, num_subgoals: int = 12
+    ) -> dict[str, Float[Array, ""]]:
+        """Returns the subgoal statistics of the deterministic policy on open floor."""
+        _, walked, _ = self._roll(actor_params, key, num_envs, num_subgoals)
+        return subgoals.summarise(walked)
+
+    def record_postures(self, actor_params: Any, key: Key[Array, ""]) -> Float[Array, "K nq"]:
+        """Records `num_postures` postures of the walking robot, x and y zeroed.
+
+        They come from deterministic walking with random subgoals, the first subgoal left out, and
+        are spread evenly over environments and time (paper, Sec. 3.2).
+        """
+        num_envs, num_subgoals = 64, 12
+        qpos, _, _ = self._roll(actor_params, key, num_envs, num_subgoals)
+        qpos = qpos[self.robot.steps_per_subgoal :].reshape(-1, qpos.shape[-1])
+        count = self.config.num_postures
+        index = jnp.linspace(0, qpos.shape[0] - 1, count).astype(jnp.int32)
+        return qpos[index].at[:, :2].set(0.0)
+
+    def meta(self) -> dict[str, Any]:
+        """Returns what must stand beside the parameters for them to be used."""
+        return {
+            "robot": self.robot.name,
+            "low_input": vars(self.config.low_input),
+            "hidden": list(self.config.droq.hidden),
+            "num_features": self.num_features,
+            "num_actions": self._num_actions,
+        }
+
+    def _features(self, obs: locomotion.LowObs) -> Float[Array, " F"]:
+        return locomotion.features(obs, self.robot, self.config.low_input)
+
+    def _iterate(self, state: LowState, _: None) -> tuple[LowState, tuple[dict, dict]]:
+        """Walks one step in every environment, then updates the learner."""
+        key, act_key, learn_key = jax.random.split(state.key, 3)
+        act_keys = jax.random.split(act_key, self.config.num_envs)
+        ctrl = jax.vmap(lambda obs, key: self.act(state.learner.actor_params, obs, key, False))(
+            state.envs.obs, act_keys
+        )
+        envs, stored = self._walk(state.envs, ctrl)
+        memory = replay.add(state.memory, stored)
+
+        def learn(
+            learner: droq.DroqState, key: Key[Array, ""]
+        ) -> tuple[droq.DroqState, dict[str, Float[Array, ""]]]:
+            batch_key, update_key = jax.random.split(key)
+            return self._learner.update(learner, self._draw(memory, batch_key), update_key)
+
+        learner, learned = jax.lax.scan(
+            learn, state.learner, jax.random.split(learn_key, self.config.updates_per_iteration)
+        )
+        state = LowState(
+            learner=learner, memory=memory, envs=envs, key=key, iteration=state.iteration + 1
+        )
+        return state, (learned, envs.metrics)
+
+    def _walk(
+        self, envs: base.EnvState, ctrl: Float[Array, "N nu"]
+    ) -> tuple[base.EnvState, locomotion.Experience]:
+        """Steps every environment, and returns what is to be stored of it."""
+        stepped = jax.vmap(self._env.step)(envs, ctrl)
+        return stepped, jax.vmap(locomotion.experience)(envs, ctrl, stepped)
+
+    def _draw(self, memory: replay.Replay, key: Key[Array, ""]) -> base.Transition:
+        """Draws a batch, relabelled if the run says so."""
+        row_key, direction_key = jax.random.split(key)
+        size = self.config.droq.batch_size
+        batch = replay.sample(memory, size, row_key)
+        if self.config.relabel:
+            direction = jax.random.randint(direction_key, (size,), 0, base.NUM_DIRECTIONS)
+            batch = jax.vmap(locomotion.relabel)(batch, direction)
+        return jax.vmap(
+            lambda stored: locomotion.transition(
+                stored,
+                self.robot,
+                self.config.low_input,
+                self.config.reward,
+                self.config.droq.gamma,
+            )
+        )(batch)
+
+    def _roll(
+        self, actor_params: Any, key: Key[Array, ""], num_envs: int, num_subgoals: int
+    ) -> tuple[Float[Array, "T N nq"], dict[str, Float[Array, "T N"]], base.EnvState]:
+        """Walks deterministically on open floor; returns qpos and metrics of every step."""
+        env_key, act_key = jax.random.split(key)
+        envs = jax.vmap(self._test_env.reset)(jax.random.split(env_key, num_envs))
+
+        def body(envs: base.EnvState, _: None) -> tuple[base.EnvState, tuple[Array, dict]]:
+            ctrl = jax.vmap(lambda obs: self.act(actor_params, obs, act_key, True))(envs.obs)
+            envs = jax.vmap(self._test_env.step)(envs, ctrl)
+            return envs, (envs.inner.physics.qpos, envs.metrics)
+
+        length = num_subgoals * self.robot.steps_per_subgoal
+        envs, (qpos, walked) = jax.lax.scan(body, envs, length=length)
+        return qpos, walked, envs
+
+
+def train(config: low_config.LowConfig) -> None:
+    """Trains a low level in a run folder, or goes on with a run that was stopped.
+
+    The run folder ends up with the policy, its subgoal statistics and the posture bank.
+
+    Args:
+      config: the run's options.
+
+    Raises:
+      base.UserError: an option or the run folder is not as it should be.
+    """
+    trainer = LowTrainer(config)
+    with run_folder.RunFolder.create(config.run, config, resume=config.resume) as run:
+        init_key, measure_key, posture_key = jax.random.split(jax.random.key(config.seed), 3)
+        state = jax.jit(trainer.init)(init_key)
+        restored = run.restore(state)
+        done = 0 if restored is None else restored[0]
+        title = f"{config.robot} low level"
+        with progress_lib.Progress(
+            title, config.num_iterations * config.num_envs, done=done * config.num_envs
+        ) as progress:
+            advance, measure = _compile(trainer, state, progress)
+            if restored is None:
+                progress.print(f"{title}: filling the memory with random steps ...")
+                state = jax.jit(trainer.warm_up, donate_argnums=0)(state)
+            else:
+                state = restored[1]
+            while done < config.num_iterations:
+                state, metrics = advance(state)
+                done += config.log_every
+                is_last = done >= config.num_iterations
+                if done % config.evaluate_every == 0 or is_last:
+                    key = jax.random.fold_in(measure_key, done)
+                    measured = measure(state.learner.actor_params, key)
+                    metrics |= {f"eval/{name}": value for name, value in measured.items()}
+                metrics = {name: float(value) for name, value in metrics.items()}
+                run.log(done, metrics)
+                progress.update(done * config.num_envs, _shown(metrics))
+                if done % config.checkpoint_every == 0 or is_last:
+                    run.save(done, state)
+        _finish(trainer, run, state, measure_key, posture_key)
+
+
+def _compile(
+    trainer: LowTrainer, state: LowState, progress: progress_lib.Progress
+) -> tuple[Callable, Callable]:
+    """Compiles training and measurement ahead, so that the time it takes can be told."""
+    with progress.compiling("training"):
+        advance = jax.jit(trainer.advance, donate_argnums=0).lower(state).compile()
+    with progress.compiling("measurement"):
+        measure = jax.jit(trainer.measure).lower(state.learner.actor_params, state.key).compile()
+    return advance, measure
+
+
+def _finish(
+    trainer: LowTrainer,
+    run: run_folder.RunFolder,
+    state: LowState,
+    measure_key: Key[Array, ""],
+    posture_key: Key[Array, ""],
+) -> None:
+    """Writes policy, statistics and posture bank of a run that has reached its end."""
+    params = state.learner.actor_params
+    measure = jax.jit(functools.partial(trainer.measure, num_envs=256, num_subgoals=20))
+    measured = {name: float(value) for name, value in measure(params, measure_key).items()}
+    record = {
+        "statistics": measured,
+        "num_iterations": int(state.iteration),
+        "num_updates": int(state.learner.num_updates),
+        "versions": versions.describe(),
+    }
+    policies.save(
+        run.path / policies.FOLDER,
+        kind="low",
+        params=params,
+        meta=trainer.meta() | record,
+        overwrite=True,
+    )
+    qpos = jax.jit(trainer.record_postures)(params, posture_key)
+    bank = postures.PostureBank(qpos=qpos)
+    postures.save(bank, run.path / "postures.npz", trainer.robot)
+
+
+def _shown(metrics: dict[str, float]) -> dict[str, float]:
+    """Picks what the progress bar shows."""
+    names = {"eval/along_mean": "along", "eval/lateral_std": "sideways std", "falls": "falls/1000"}
+    return {short: metrics[name] for name, short in names.items() if name in metrics}
