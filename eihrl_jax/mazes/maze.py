@@ -7,11 +7,14 @@ as they were because the origin is the outer top-left corner (see `base`).
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, UInt8
 
 from eihrl_jax import base
 
 MAX_GOALS = 9
+
+WALL = 128
+"""Code of a wall cell in `codes`."""
 
 
 @struct.dataclass
@@ -45,7 +48,7 @@ def cell_ij(xy: Float[Array, "2"]) -> Int[Array, "2"]:
 
 def cell_xy(ij: Int[Array, "2"]) -> Float[Array, "2"]:
     """Returns the centre, in units, of the cell at row and column `ij`."""
-    return (ij[::-1] + 0.5) * jnp.array([base.CELL, -base.CELL])
+    return (ij[::-1].astype(jnp.float32) + 0.5) * jnp.array([base.CELL, -base.CELL])
 
 
 def is_wall(maze: Maze, xy: Float[Array, "2"]) -> Bool[Array, ""]:
@@ -60,10 +63,23 @@ def goal_at(maze: Maze, xy: Float[Array, "2"]) -> Int[Array, ""]:
     return maze.goal.at[i, j].get(mode="fill", fill_value=0, wrap_negative_indices=False)
 
 
+def codes(maze: Maze) -> UInt8[Array, "*m R C"]:
+    """Packs walls and goals into one byte per cell: `WALL`, else the goal's number, else 0."""
+    return jnp.where(maze.wall, WALL, maze.goal).astype(jnp.uint8)
+
+
+def code_at(
+    codes: UInt8[Array, "R C"], i: Int[Array, "*k"], j: Int[Array, "*k"]
+) -> UInt8[Array, "*k"]:
+    """Returns the codes of cells; those outside the grid are wall."""
+    return codes.at[i, j].get(mode="fill", fill_value=WALL, wrap_negative_indices=False)
+
+
 def draw_cell(mask: Bool[Array, "R C"], key: Key[Array, ""]) -> Int[Array, "2"]:
     """Draws row and column of one of the true cells of `mask`, all equally likely."""
     rank = jnp.cumsum(mask.ravel())
-    index = jnp.searchsorted(rank, jax.random.uniform(key) * rank[-1], side="right")
+    drawn = jax.random.uniform(key) * rank[-1].astype(jnp.float32)
+    index = jnp.searchsorted(rank, drawn.astype(jnp.int32), side="right")
     return jnp.stack(jnp.divmod(index, mask.shape[1])).astype(jnp.int32)
 
 
@@ -95,9 +111,9 @@ def draw_start(maze: Maze, key: Key[Array, ""]) -> Float[Array, "2"]:
 def goal_centres(maze: Maze) -> Float[Array, "9 2"]:
     """Returns the mean position of each goal region's cells in units; 0 for an absent goal."""
     rows, columns = maze.goal.shape
-    i, j = jnp.mgrid[:rows, :columns]
-    cell = maze.goal[None] == jnp.arange(1, MAX_GOALS + 1)[:, None, None]
-    count = jnp.maximum(cell.sum((1, 2)), 1)
-    mean_ij = jnp.stack([(cell * i).sum((1, 2)), (cell * j).sum((1, 2))], -1) / count[:, None]
-    is_present = cell.any((1, 2))[:, None]
-    return jnp.where(is_present, jax.vmap(cell_xy)(mean_ij), 0.0)
+    ij = jnp.stack(jnp.mgrid[:rows, :columns])
+    is_in = maze.goal[None] == jnp.arange(1, MAX_GOALS + 1, dtype=jnp.int32)[:, None, None]
+    count = is_in.sum((1, 2), dtype=jnp.float32)
+    total_ij = jnp.where(is_in[:, None], ij[None], 0).sum((2, 3), dtype=jnp.float32)
+    mean_ij = total_ij / jnp.maximum(count, 1.0)[:, None]
+    return jnp.where(count[:, None] > 0.0, jax.vmap(cell_xy)(mean_ij), 0.0)

@@ -1,0 +1,223 @@
+"""The high level's training ground: the simulator moves the robot directly (paper, Sec. 3.2).
+
+A decision moves the body by one cell in the chosen direction plus a normal offset on both axes, and
+shows the robot in a recorded posture: epsilon-Invariant Randomization. There is no physics, so that
+a learner can try hundreds of thousands of decisions per second.
+
+Observation: bool [P, P, 3], a top view centred on the torso, north up; channels wall, unvisited
+goal, robot (see `raster`).
+Action: int32, index of the direction in `base.DIRECTIONS_XY`.
+Reward: sparse, the number of goals entered for the first time; or dense, 1 / (1 + d), d the distance
+in units to the current goal.
+Termination: all goals visited; truncation: the maze's number of decisions.
+Reset: maze, door, start and posture are drawn anew.
+"""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax import base, raster
+from eihrl_jax.envs import task
+from eihrl_jax.mazes import maze as maze_lib
+
+REWARDS = ("sparse", "dense")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Movement:
+    """How the simulator moves the robot.
+
+    Attributes:
+      step: nominal length of a move, units.
+      sigma: standard deviation of the offset on each axis, drawn anew for every decision, units.
+      num_substeps: number of equal parts of a move; each stops at walls, one axis after the other.
+      body_radius: half the side of the square that can't enter a wall, units.
+
+    Raises:
+      base.UserError: out of the limits of these numbers.
+    """
+
+    step: float = base.CELL
+    sigma: float = 0.3
+    num_substeps: int = 6
+    body_radius: float = 0.7
+
+    def __post_init__(self) -> None:
+        """Checks the limits."""
+        for name, low, high in (
+            ("step", 0.0, 4 * base.CELL),
+            ("sigma", 0.0, base.CELL),
+            ("num_substeps", 1, 100),
+            ("body_radius", 0.0, base.CELL / 2),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise base.UserError(f"movement {name} {value} is not in [{low}, {high}]")
+        # A normal float32 draw stays below six standard deviations.
+        longest = (self.step + 6 * self.sigma) / self.num_substeps
+        if longest > base.CELL:
+            raise base.UserError(
+                f"movement num_substeps {self.num_substeps} is too small: a part of a move could "
+                f"be {longest:.1f} units long and jump over a wall of {base.CELL}"
+            )
+
+
+@struct.dataclass
+class Oracle:
+    """The state of an episode.
+
+    Attributes:
+      nav: where the episode stands.
+      xy: float32 [2], position of the torso, units.
+      posture: int32, row of the bank of silhouettes that is shown.
+      total_reward: float32, rewards of the episode so far.
+    """
+
+    nav: task.Navigation
+    xy: Float[Array, "2"]
+    posture: Int[Array, ""]
+    total_reward: Float[Array, ""]
+
+
+class OracleMaze:
+    """One maze, or a different one in every episode, with oracle movement."""
+
+    def __init__(
+        self,
+        mazes: maze_lib.Maze,
+        silhouettes: Bool[Array, "N P P"],
+        *,
+        view: raster.View,
+        movement: Movement,
+        reward: str = "sparse",
+    ):
+        """Prepares mazes and silhouettes.
+
+        Args:
+          mazes: one maze, or several with a leading axis of which each episode draws one.
+          silhouettes: the robot in N postures, see `raster.footprint`.
+          view: extent and resolution of the observation.
+          movement: how the robot is moved.
+          reward: "sparse" or "dense".
+
+        Raises:
+          base.UserError: an unknown reward, silhouettes of another resolution, or a body that
+            could begin an episode inside a wall.
+        """
+        if reward not in REWARDS:
+            raise base.UserError(f"reward {reward!r} is not one of {', '.join(REWARDS)}")
+        if silhouettes.ndim != 3 or silhouettes.shape[1:] != (view.pixels, view.pixels):
+            raise base.UserError(
+                f"silhouettes of shape {silhouettes.shape} do not fit a view of "
+                f"{view.pixels} x {view.pixels} pixels"
+            )
+        self.course = task.prepare(mazes)
+        room = base.CELL / 2 - float(self.course.mazes.start_jitter.max())
+        if movement.body_radius > room:
+            raise base.UserError(
+                f"movement body_radius {movement.body_radius} is above {room:.3f}, the room "
+                "between a start and the walls beside its cell"
+            )
+        self.view = view
+        self.movement = movement
+        self.reward = reward
+        pack = functools.partial(raster.pack, view=view)
+        self._silhouettes = jax.vmap(pack)(jnp.asarray(silhouettes))
+
+    def reset(self, key: Key[Array, ""]) -> base.EnvState:
+        """Draws a new episode; the key is consumed."""
+        next_key, start_key, posture_key = jax.random.split(key, 3)
+        nav, xy = task.start(self.course, start_key)
+        inner = Oracle(
+            nav=nav,
+            xy=xy,
+            posture=self._draw_posture(posture_key),
+            total_reward=jnp.float32(0.0),
+        )
+        outcome = task.Outcome(
+            reward=jnp.float32(0.0), terminated=jnp.array(False), truncated=jnp.array(False)
+        )
+        return self._state(inner, outcome, next_key)
+
+    def step(self, state: base.EnvState, action: Int[Array, ""]) -> base.EnvState:
+        """Moves the robot in direction `action`."""
+        next_key, noise_key, posture_key = jax.random.split(state.key, 3)
+        course, inner = self.course, state.inner
+        noise = self.movement.sigma * jax.random.normal(noise_key, (2,))
+        displacement = self.movement.step * jnp.array(base.DIRECTIONS_XY)[action] + noise
+        path_xy = self.move(inner.nav, inner.xy, displacement)
+        nav, outcome = task.advance(course, inner.nav, path_xy)
+        if self.reward == "dense":
+            outcome = outcome.replace(reward=task.dense_reward(course, nav, path_xy[-1]))
+        inner = Oracle(
+            nav=nav,
+            xy=path_xy[-1],
+            posture=self._draw_posture(posture_key),
+            total_reward=inner.total_reward + outcome.reward,
+        )
+        return self._state(inner, outcome, next_key)
+
+    def move(
+        self,
+        nav: task.Navigation,
+        xy: Float[Array, "2"],
+        displacement: Float[Array, "2"],
+    ) -> Float[Array, "T 2"]:
+        """Moves the body in equal parts; on either axis a part that would enter a wall is left out.
+
+        Args:
+          nav: the episode, which says where walls are.
+          xy: position of the torso, units.
+          displacement: the whole move if nothing is in the way, units.
+
+        Returns:
+          Position after each part, units.
+        """
+        num, radius = self.movement.num_substeps, self.movement.body_radius
+        part = displacement / num
+        reach = part + jnp.sign(part) * radius  # from the torso to the body's leading edges
+        corners = jnp.array([-radius, radius])
+
+        def advance(xy: Float[Array, "2"], _: None) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+            x, y = xy
+            edge = jnp.stack([jnp.broadcast_to(x + reach[0], 2), y + corners], -1)
+            x = jnp.where(self._is_blocked(nav, edge), x, x + part[0])
+            edge = jnp.stack([x + corners, jnp.broadcast_to(y + reach[1], 2)], -1)
+            y = jnp.where(self._is_blocked(nav, edge), y, y + part[1])
+            xy = jnp.stack([x, y])
+            return xy, xy
+
+        _, path_xy = jax.lax.scan(advance, xy, None, length=num, unroll=num)
+        return path_xy
+
+    def _is_blocked(self, nav: task.Navigation, edge: Float[Array, "2 2"]) -> Bool[Array, ""]:
+        """Tells whether one of the ends of the body's leading edge would be in a wall."""
+        return (task.code_at(self.course, nav, edge) == maze_lib.WALL).any()
+
+    def _draw_posture(self, key: Key[Array, ""]) -> Int[Array, ""]:
+        """Draws one of the silhouettes, all equally likely."""
+        return jax.random.randint(key, (), 0, self._silhouettes.shape[0])
+
+    def _state(self, inner: Oracle, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
+        """Puts together what `reset` and `step` return."""
+        silhouette = self._silhouettes[inner.posture]
+        obs = task.observe(self.course, inner.nav, inner.xy, silhouette, self.view)
+        return base.EnvState(
+            inner=inner,
+            obs=obs,
+            final_obs=obs,
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            truncated=outcome.truncated,
+            metrics={
+                "success": task.success(self.course, inner.nav),
+                "decisions": inner.nav.decisions.astype(jnp.float32),
+                "return": inner.total_reward,
+            },
+            key=key,
+        )

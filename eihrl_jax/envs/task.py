@@ -1,0 +1,215 @@
+"""The navigation task, the same whether the robot is moved directly or walks (paper, Sec. 4.1, D).
+
+An episode draws a maze, a start and, where there are candidates, a door. Every goal region pays 1
+when the torso first enters it, in any order; the episode terminates with the last of them and is
+truncated at its number of decisions.
+
+Mazes are prepared once (`prepare`) so that a decision costs a few look-ups whatever their size: an
+episode holds the number of its maze and its open door instead of a copy of the maze.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key, UInt8, UInt32
+
+from eihrl_jax import base, raster
+from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.mazes import paths
+
+NO_DOOR = -1
+"""Row and column of the open door in a maze without door candidates."""
+
+
+@struct.dataclass
+class Course:
+    """M mazes prepared for the task; R and C as in `Maze`.
+
+    Attributes:
+      mazes: the mazes as they were given, with leading axis M.
+      codes: uint8 [M, R, C], see `mazes.maze.codes`; door candidates are wall.
+      start_ij: int32 [M, S, 2], row and column of the start cells, padded to the longest list.
+      door_ij: int32 [M, D, 2], the same of the door candidates; `NO_DOOR` where there is none.
+      num_starts: int32 [M].
+      num_doors: int32 [M], at least 1.
+      goal_xy: float32 [M, 9, 2], centres of the goal regions, units; 0 for an absent goal.
+    """
+
+    mazes: maze_lib.Maze
+    codes: UInt8[Array, "M R C"]
+    start_ij: Int[Array, "M S 2"]
+    door_ij: Int[Array, "M D 2"]
+    num_starts: Int[Array, "M"]
+    num_doors: Int[Array, "M"]
+    goal_xy: Float[Array, "M 9 2"]
+
+    @property
+    def num_mazes(self) -> int:
+        """Number of mazes."""
+        return self.codes.shape[0]
+
+
+@struct.dataclass
+class Navigation:
+    """Where an episode stands.
+
+    Attributes:
+      maze: int32, which maze of the course.
+      door_ij: int32 [2], row and column of the open door, or `NO_DOOR`.
+      visited: bool [9], goals that have been paid.
+      decisions: int32, decisions so far.
+    """
+
+    maze: Int[Array, ""]
+    door_ij: Int[Array, "2"]
+    visited: Bool[Array, "9"]
+    decisions: Int[Array, ""]
+
+
+@struct.dataclass
+class Outcome:
+    """What a decision led to.
+
+    Attributes:
+      reward: float32, number of goals entered for the first time (paper, App. D.1).
+      terminated: all goals have been visited.
+      truncated: the time limit was reached before.
+    """
+
+    reward: Float[Array, ""]
+    terminated: Bool[Array, ""]
+    truncated: Bool[Array, ""]
+
+
+def prepare(mazes: maze_lib.Maze) -> Course:
+    """Prepares one maze, or several with a leading axis, for the task; host side."""
+    if mazes.wall.ndim == 2:
+        mazes = jax.tree.map(lambda leaf: leaf[None], mazes)
+    starts = [paths.cells(mask) for mask in np.asarray(mazes.start)]
+    doors = [paths.cells(mask) or [(NO_DOOR, NO_DOOR)] for mask in np.asarray(mazes.door)]
+    return Course(
+        mazes=mazes,
+        codes=maze_lib.codes(mazes),
+        start_ij=_padded(starts),
+        door_ij=_padded(doors),
+        num_starts=jnp.array([len(cells) for cells in starts], jnp.int32),
+        num_doors=jnp.array([len(cells) for cells in doors], jnp.int32),
+        goal_xy=jax.vmap(maze_lib.goal_centres)(mazes),
+    )
+
+
+def start(course: Course, key: Key[Array, ""]) -> tuple[Navigation, Float[Array, "2"]]:
+    """Draws maze, door and start of an episode, each uniformly.
+
+    Returns:
+      The episode at its beginning, and the robot's position in units.
+    """
+    draws = jax.random.uniform(key, (5,))
+    maze = _pick(draws[0], jnp.int32(course.num_mazes))
+    door = _pick(draws[1], _of(course.num_doors, maze))
+    cell = _pick(draws[2], _of(course.num_starts, maze))
+    offset = (2.0 * draws[3:] - 1.0) * _of(course.mazes.start_jitter, maze)
+    nav = Navigation(
+        maze=maze,
+        door_ij=_of(course.door_ij, maze)[door],
+        visited=jnp.zeros(maze_lib.MAX_GOALS, bool),
+        decisions=jnp.int32(0),
+    )
+    return nav, maze_lib.cell_xy(_of(course.start_ij, maze)[cell]) + offset
+
+
+def advance(
+    course: Course, nav: Navigation, path_xy: Float[Array, "T 2"]
+) -> tuple[Navigation, Outcome]:
+    """Counts one decision and pays the goals that the torso entered during it.
+
+    Args:
+      course: the mazes.
+      nav: the episode before the decision.
+      path_xy: torso positions during the decision, the last one where it ended, units.
+    """
+    found = code_at(course, nav, path_xy)
+    numbers = jnp.arange(1, maze_lib.MAX_GOALS + 1, dtype=jnp.uint8)
+    visited = nav.visited | (found[:, None] == numbers[None]).any(0)
+    reward = (visited & ~nav.visited).sum(dtype=jnp.float32)
+    decisions = nav.decisions + 1
+    terminated = visited.sum(dtype=jnp.int32) >= _of(course.mazes.num_goals, nav.maze)
+    is_late = decisions >= _of(course.mazes.num_decisions, nav.maze)
+    outcome = Outcome(reward=reward, terminated=terminated, truncated=is_late & ~terminated)
+    return nav.replace(visited=visited, decisions=decisions), outcome
+
+
+def success(course: Course, nav: Navigation) -> Float[Array, ""]:
+    """Returns the visited share of the goals, the paper's success."""
+    visited = nav.visited.sum(dtype=jnp.float32)
+    return visited / _of(course.mazes.num_goals, nav.maze).astype(jnp.float32)
+
+
+def dense_reward(course: Course, nav: Navigation, xy: Float[Array, "2"]) -> Float[Array, ""]:
+    """Returns 1 / (1 + d), d the distance in units to the current goal (paper, App. D.2).
+
+    The current goal is the unvisited one with the lowest number; once all have been visited, the
+    reward is that of having arrived, 1.
+    """
+    current = jnp.argmin(nav.visited)
+    door_xy = maze_lib.cell_xy(nav.door_ij)
+    is_door = (current == 0) & (nav.door_ij[0] != NO_DOOR)
+    goal_xy = jnp.where(is_door, door_xy, _of(course.goal_xy, nav.maze)[current])
+    distance = jnp.sqrt(((goal_xy - xy) ** 2).sum())
+    is_present = current < _of(course.mazes.num_goals, nav.maze)
+    return jnp.where(is_present & ~nav.visited[current], 1.0 / (1.0 + distance), 1.0)
+
+
+def code_at(course: Course, nav: Navigation, xy: Float[Array, "*k 2"]) -> UInt8[Array, "*k"]:
+    """Returns the codes (see `mazes.maze.codes`) at positions in units, the open door a goal."""
+    i = jnp.floor(-xy[..., 1] / base.CELL).astype(jnp.int32)
+    j = jnp.floor(xy[..., 0] / base.CELL).astype(jnp.int32)
+    return _codes(course, nav, i, j)
+
+
+def observe(
+    course: Course,
+    nav: Navigation,
+    xy: Float[Array, "2"],
+    silhouette: UInt32[Array, "P W"],
+    view: raster.View,
+) -> Bool[Array, "P P 3"]:
+    """Draws what the high level sees, see `raster.draw`."""
+    codes = _codes(course, nav, *raster.window(xy, view))
+    return raster.draw(codes, xy, nav.visited, silhouette, view)
+
+
+def drawn_maze(course: Course, nav: Navigation) -> maze_lib.Maze:
+    """Returns the maze of an episode with its door open, without leading axis."""
+    maze = jax.tree.map(lambda leaf: _of(leaf, nav.maze), course.mazes)
+    return maze_lib.open_door(maze, nav.door_ij)
+
+
+def _codes(
+    course: Course, nav: Navigation, i: Int[Array, "*k"], j: Int[Array, "*k"]
+) -> UInt8[Array, "*k"]:
+    """Returns the codes of cells, those outside the grid wall and the open door goal 1."""
+    maze = 0 if course.num_mazes == 1 else nav.maze
+    codes = course.codes.at[maze, i, j].get(
+        mode="fill", fill_value=maze_lib.WALL, wrap_negative_indices=False
+    )
+    is_door = (i == nav.door_ij[0]) & (j == nav.door_ij[1])
+    return jnp.where(is_door, jnp.uint8(1), codes)
+
+
+def _of(table: Array, maze: Int[Array, ""]) -> Array:
+    """Returns one maze's part of a table; of a single maze without a look-up."""
+    return table[0] if table.shape[0] == 1 else table[maze]
+
+
+def _pick(uniform: Float[Array, ""], num: Int[Array, ""]) -> Int[Array, ""]:
+    """Turns a uniform draw from [0, 1) into an index below `num`."""
+    index = (uniform * num.astype(jnp.float32)).astype(jnp.int32)
+    return jnp.minimum(index, num - 1)
+
+
+def _padded(cells: list[list[paths.Cell]]) -> Int[Array, "M K 2"]:
+    """Stacks lists of cells, repeating the last cell of the shorter ones."""
+    longest = max(len(some) for some in cells)
+    return jnp.array([some + some[-1:] * (longest - len(some)) for some in cells], jnp.int32)

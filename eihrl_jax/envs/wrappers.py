@@ -1,0 +1,44 @@
+"""Wrappers of environments."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Key
+
+from eihrl_jax import base
+
+
+@dataclasses.dataclass(frozen=True)
+class AutoReset:
+    """Begins a new episode, drawn anew, right after one has ended.
+
+    In the step that ends an episode `reward`, `terminated`, `truncated`, `metrics` and `final_obs`
+    are those of the ended episode; `obs`, `inner` and `key` belong to the new one.
+
+    Attributes:
+      env: the environment.
+    """
+
+    env: base.Environment
+
+    def reset(self, key: Key[Array, ""]) -> base.EnvState:
+        """Draws a new episode; the key is consumed."""
+        return self.env.reset(key)
+
+    def step(self, state: base.EnvState, action: Array) -> base.EnvState:
+        """Advances one step, and into the next episode where that ends one."""
+        ended = self.env.step(state, action)
+        fresh = self.env.reset(ended.key)
+        is_done = ended.terminated | ended.truncated
+        inner, obs, key = jax.tree.map(
+            lambda new, old: jnp.where(is_done, new, old),
+            (fresh.inner, fresh.obs, fresh.key),
+            (ended.inner, ended.obs, ended.key),
+        )
+        return ended.replace(inner=inner, obs=obs, key=key)
+
+
+def auto_reset(env: base.Environment) -> AutoReset:
+    """Wraps an environment so that a new episode begins right after one has ended."""
+    return AutoReset(env)
