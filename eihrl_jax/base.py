@@ -5,7 +5,7 @@ up, so row `i` and column `j` of the text lie around ((j + 1/2) * CELL, -(i + 1/
 are in MuJoCo units, called units.
 """
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from flax import struct
 from jaxtyping import Array, Bool, Float, Key
@@ -27,8 +27,7 @@ class UserError(ValueError):
     """
 
 
-@struct.dataclass
-class EnvState:
+class EnvState(struct.PyTreeNode):
     """One environment at one moment, without batch axis; returned by `reset` and `step`.
 
     Attributes:
@@ -53,6 +52,7 @@ class EnvState:
     key: Key[Array, ""]
 
 
+@runtime_checkable
 class Environment(Protocol):
     """The contract between environments and learners: pure functions of one environment.
 
@@ -69,8 +69,7 @@ class Environment(Protocol):
         ...
 
 
-@struct.dataclass
-class Transition:
+class Transition(struct.PyTreeNode):
     """One step as learners store it.
 
     Attributes:

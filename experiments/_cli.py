@@ -4,6 +4,7 @@ Exit codes: 0 done, 2 the user's mistake, 130 interrupted with Ctrl-C.
 """
 
 import contextlib
+import functools
 import io
 import itertools
 import os
@@ -51,10 +52,12 @@ def _parse(
 ) -> ConfigT:
     """Parses the arguments; `--help` shows the defaults of the chosen preset."""
     messages = io.StringIO()
-    default = {"default": presets[_preset(presets, arguments)]} if presets else {}
+    parse = functools.partial(tyro.cli, config_type, args=arguments, prog=_program())
+    if presets:
+        parse = functools.partial(parse, default=presets[_preset(presets, arguments)])
     try:
         with contextlib.redirect_stderr(messages):
-            return tyro.cli(config_type, args=arguments, prog=_program(), **default)
+            return parse()
     except SystemExit as end:
         if end.code:
             _fail(_one_line(messages.getvalue()).removeprefix(f"{config_type.__name__}: "))
@@ -97,6 +100,6 @@ def _program() -> str:
 
 def _set_compilation_cache() -> None:
     """Lets JAX keep compiled programs between runs, unless the user has chosen a place already."""
-    if jax.config.jax_compilation_cache_dir is None:
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         cache = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(cache / "eihrl_jax"))

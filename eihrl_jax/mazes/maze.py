@@ -17,8 +17,7 @@ WALL = 128
 """Code of a wall cell in `codes`."""
 
 
-@struct.dataclass
-class Maze:
+class Maze(struct.PyTreeNode):
     """One maze, or with a leading axis many of them. R rows and C columns include the outer ring.
 
     Attributes:

@@ -1,6 +1,6 @@
 """The interface behind which both physics engines stand; environments know nothing else."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import mujoco
@@ -13,8 +13,7 @@ from eihrl_jax.robots import robot as robot_lib
 ENGINES = ("mujoco", "mjx")
 
 
-@struct.dataclass
-class PhysicsState:
+class PhysicsState(struct.PyTreeNode):
     """All that a simulation needs to go on. nq, nv: MuJoCo's sizes of the robot.
 
     Attributes:
@@ -28,6 +27,7 @@ class PhysicsState:
     qacc_warmstart: Float[Array, " nv"]
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Steps one robot near walls; usable inside `jit`, `vmap` and `scan`.
 
@@ -50,6 +50,8 @@ class Engine(Protocol):
         Args:
           state: where the robot is.
           ctrl: actuator controls in [-1, 1], held for the whole step; values outside are clipped.
+            A robot whose controls are nan rests as it is, which the C engine does for nothing: so
+            an episode that has ended is put aside.
           walls_xy: centres of the wall cells near the robot, units, see `walls.nearby`.
 
         Returns:

@@ -16,7 +16,7 @@ import json
 import os
 import pathlib
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import Any, TextIO
 
 import jax
 import tensorboardX
@@ -41,8 +41,7 @@ class RunFolder:
         self.path = path
         self._lock = lock
         self._columns: list[str] = []
-        self._file = None
-        self._events: tensorboardX.SummaryWriter | None = None
+        self._files: tuple[TextIO, tensorboardX.SummaryWriter] | None = None
         self._first_step = 0
 
     @classmethod
@@ -97,12 +96,9 @@ class RunFolder:
 
     def close(self) -> None:
         """Closes the files and gives the lock back; may be called twice."""
-        if self._file is not None:
-            self._file.close()
-            self._file = None
-        if self._events is not None:
-            self._events.close()
-            self._events = None
+        for file in self._files or ():
+            file.close()
+        self._files = None
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -142,26 +138,23 @@ class RunFolder:
         """
         if self._lock is None:
             return
-        if self._file is None:
-            self._open(metrics)
+        table, events = self._files = self._files or self._open(metrics)
         unknown = [name for name in metrics if name not in self._columns]
         if unknown:
             raise ValueError(f"metric {unknown[0]!r} is not in the first row: {self._columns}")
         values = {name: float(value) for name, value in metrics.items()}
         row = [step, *(values.get(name, "") for name in self._columns)]
-        self._file.write(",".join(map(str, row)) + "\n")
+        table.write(",".join(map(str, row)) + "\n")
         for name, value in values.items():
-            self._events.add_scalar(name, value, step)
+            events.add_scalar(name, value, step)
 
-    def _open(self, metrics: Mapping[str, Any]) -> None:
-        file = self.path / "metrics.csv"
+    def _open(self, metrics: Mapping[str, Any]) -> tuple[TextIO, tensorboardX.SummaryWriter]:
         is_new = not self._columns
+        table = (self.path / "metrics.csv").open("w" if is_new else "a", buffering=1)
         if is_new:
             self._columns = list(metrics)
-        self._file = file.open("w" if is_new else "a", buffering=1)
-        if is_new:
-            self._file.write(",".join(["step", *self._columns]) + "\n")
-        self._events = _open_events(self.path / "tensorboard", self._first_step)
+            table.write(",".join(["step", *self._columns]) + "\n")
+        return table, _open_events(self.path / "tensorboard", self._first_step)
 
 
 def _holds_something(path: pathlib.Path) -> bool:

@@ -15,8 +15,7 @@ from eihrl_jax import base
 from eihrl_jax.training import checkpoint
 
 
-@struct.dataclass
-class State:
+class State(struct.PyTreeNode):
     params: dict
     opt_state: optax.OptState
     key: jax.Array

@@ -1,0 +1,239 @@
+"""The rules about who imports whom, and about sizes, hold in every file; sources are only parsed.
+
+A file that breaks one is named with its line. The layers and their reasons are told in the README.
+"""
+
+import ast
+import pathlib
+
+import pytest
+
+ROOT = pathlib.Path(__file__).parents[1]
+PACKAGE = "eihrl_jax"
+
+LAYERS = (
+    {"base"},
+    {"config", "presets"},
+    {"ops"},
+    {"mazes"},
+    {"robots"},
+    {"physics"},
+    {"raster"},
+    {"envs", "networks", "replay", "theory"},
+    {"agents", "baselines"},
+    {"training", "policies"},
+    {"evaluation"},
+    {"experiments"},
+)
+"""From the bottom up: a module imports its own part and those below."""
+
+APART = [("envs", "agents"), ("envs", "networks"), ("envs", "replay"), ("networks", "replay")]
+"""Parts that never import each other; `envs` and `agents` meet in `base`."""
+
+ONLY_IN = {
+    "mujoco": ("eihrl_jax/physics/", "eihrl_jax/robots/", "eihrl_jax/evaluation/"),
+    "orbax": ("eihrl_jax/training/checkpoint.py",),
+    "tensorboardX": ("eihrl_jax/training/run_folder.py",),
+    "brax": ("eihrl_jax/envs/",),
+    "gymnasium": ("eihrl_jax/envs/",),
+    "tyro": ("experiments/_cli.py",),
+}
+"""Where a package that moves may be imported."""
+
+OPS_MAY_IMPORT = {"jax", "jaxtyping", "chex", "collections", "functools", "math", "typing"}
+RUNS_CODE = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib"}
+EFFECTS = ("jax", "jnp", "np", "numpy", "mujoco", "warnings", "os", "logging", "matplotlib", "plt")
+NO_EFFECTS = ("jax.jit", "jax.vmap", "jax.tree_util.register_", "np.dtype", "os.path.")
+
+MAX_FILE_LINES = 400
+MAX_FUNCTION_LINES = 60
+MAX_NESTED_DEFINITIONS = 2
+
+FILES = sorted(file for part in (PACKAGE, "experiments") for file in (ROOT / part).rglob("*.py"))
+TREES = {file.relative_to(ROOT).as_posix(): ast.parse(file.read_text()) for file in FILES}
+
+every_file = pytest.mark.parametrize("name", TREES)
+
+
+def part_of(module: str) -> str:
+    """Part of the project that a dotted module belongs to, "" for the package itself."""
+    first, _, rest = module.partition(".")
+    return rest.partition(".")[0] if first == PACKAGE else first
+
+
+def module_of(name: str) -> str:
+    return name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def imports_of(tree: ast.Module) -> list[tuple[int, str]]:
+    """Every import of a file, also the late ones, as (line, dotted name)."""
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: relative import"
+            found += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+    return found
+
+
+def own_imports(tree: ast.Module) -> list[tuple[int, str]]:
+    return [
+        (line, module)
+        for line, module in imports_of(tree)
+        if module.partition(".")[0] in (PACKAGE, "experiments")
+    ]
+
+
+def rank(part: str) -> int:
+    ranks = [i for i, layer in enumerate(LAYERS) if part in layer]
+    assert ranks, f"{part} is in no layer"
+    return ranks[0]
+
+
+@every_file
+def test_imports_go_down(name):
+    part = part_of(module_of(name))
+    for line, module in own_imports(TREES[name]):
+        other = part_of(module)
+        if part and other:
+            assert rank(other) <= rank(part), f"{name}:{line}: {part} imports {module} above it"
+
+
+@every_file
+def test_parts_that_stay_apart(name):
+    part = part_of(module_of(name))
+    for line, module in own_imports(TREES[name]):
+        pair = {part, part_of(module)}
+        assert all(pair != set(apart) for apart in APART), f"{name}:{line}: imports {module}"
+
+
+@every_file
+def test_packages_that_move_stay_in_their_place(name):
+    for line, module in imports_of(TREES[name]):
+        places = ONLY_IN.get(module.partition(".")[0])
+        assert places is None or name.startswith(places), f"{name}:{line}: imports {module}"
+
+
+@every_file
+def test_ops_are_jnp_only(name):
+    if part_of(module_of(name)) != "ops":
+        return
+    for line, module in imports_of(TREES[name]):
+        is_own = module.startswith((f"{PACKAGE}.ops", f"{PACKAGE}.base"))
+        first = module.partition(".")[0]
+        assert is_own or first in OPS_MAY_IMPORT, f"{name}:{line}: imports {module}"
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in ("print", "open"), f"{name}:{node.lineno}: {node.func.id}"
+
+
+@every_file
+def test_nothing_private_is_imported(name):
+    for line, module in own_imports(TREES[name]):
+        is_shell = module.startswith("experiments._cli") and name.startswith("experiments/")
+        private = [word for word in module.split(".") if word.startswith("_")]
+        assert is_shell or not private, f"{name}:{line}: imports {module}"
+
+
+@every_file
+def test_nothing_is_unpickled_or_evaluated(name):
+    for line, module in imports_of(TREES[name]):
+        assert module.partition(".")[0] not in RUNS_CODE, f"{name}:{line}: imports {module}"
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Call):
+            is_run = isinstance(node.func, ast.Name) and node.func.id in ("eval", "exec", "compile")
+            assert not is_run, f"{name}:{node.lineno}: runs text as code"
+            for keyword in node.keywords:
+                is_false = isinstance(keyword.value, ast.Constant) and keyword.value.value is False
+                is_safe = keyword.arg != "allow_pickle" or is_false
+                assert is_safe, f"{name}:{node.lineno}: unpickles"
+
+
+def dotted(node: ast.expr) -> str:
+    if isinstance(node, ast.Attribute):
+        return f"{dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+class ImportTime(ast.NodeVisitor):
+    """Collects what runs when a module is imported: calls, and writes to `os.environ`."""
+
+    def __init__(self):
+        self.effects = []
+
+    def visit_FunctionDef(self, node):
+        for part in [*node.decorator_list, *node.args.defaults, *node.args.kw_defaults]:
+            if part is not None:
+                self.visit(part)
+
+    def visit_Lambda(self, node):
+        """Its body runs later."""
+
+    def visit_If(self, node):
+        if ast.unparse(node.test) != "__name__ == '__main__'":
+            self.generic_visit(node)
+
+    def visit_Call(self, node):
+        name = dotted(node.func)
+        if name.partition(".")[0] in EFFECTS and not name.startswith(NO_EFFECTS):
+            self.effects.append((node.lineno, name))
+        self.generic_visit(node)
+
+    def visit_Attribute(self, node):
+        if dotted(node) == "os.environ":
+            self.effects.append((node.lineno, "os.environ"))
+        self.generic_visit(node)
+
+
+@every_file
+def test_importing_has_no_effects(name):
+    visitor = ImportTime()
+    visitor.visit(TREES[name])
+    places = [f"{name}:{line}: {what}" for line, what in visitor.effects]
+    assert not places, places
+
+
+@every_file
+def test_files_are_short(name):
+    lines = len((ROOT / name).read_text().splitlines())
+    assert lines <= MAX_FILE_LINES, f"{name} has {lines} lines"
+
+
+@every_file
+def test_functions_are_short(name):
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.FunctionDef):
+            lines = node.end_lineno - node.lineno + 1
+            place = f"{name}:{node.lineno}: {node.name}"
+            assert lines <= MAX_FUNCTION_LINES, f"{place} has {lines} lines"
+
+
+def nesting(node: ast.AST) -> int:
+    """How deep definitions are nested in a node, itself not counted."""
+    deepest = 0
+    for child in ast.iter_child_nodes(node):
+        is_definition = isinstance(child, ast.FunctionDef | ast.ClassDef)
+        deepest = max(deepest, nesting(child) + is_definition)
+    return deepest
+
+
+@every_file
+def test_definitions_are_hardly_nested(name):
+    assert nesting(TREES[name]) <= 1 + MAX_NESTED_DEFINITIONS
+
+
+@pytest.mark.parametrize(
+    ("source", "effect"),
+    [
+        ("import jax.numpy as jnp\nX = jnp.zeros(3)", "jnp.zeros"),
+        ("import jax\njax.config.update('a', 1)", "jax.config.update"),
+        ("import os\nos.environ['A'] = 'b'", "os.environ"),
+        ("import jax.numpy as jnp\ndef f(x=jnp.ones(3)): ...", "jnp.ones"),
+        ("import jax.numpy as jnp\nclass A:\n  x = jnp.ones(3)", "jnp.ones"),
+    ],
+)
+def test_effects_at_import_are_seen(source, effect):
+    visitor = ImportTime()
+    visitor.visit(ast.parse(source))
+    assert [what for _, what in visitor.effects] == [effect]
