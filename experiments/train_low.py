@@ -1,4 +1,4 @@
-"""Trains a low level: `python -m experiments.train_low --preset best --robot ant --run runs/ant`."""
+"""Trains a low level: `python -m experiments.train_low --robot ant --run runs/ant`."""
 
 from eihrl_jax import presets
 from eihrl_jax.config import low as low_config

@@ -18,13 +18,11 @@ from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import walls
 from eihrl_jax.robots import robot as robot_lib
 
-
 METRICS = ("step_x", "step_y", "switched", "along", "lateral", "fell", "broke_down")
 """What `Locomotion` tells about each step, see there."""
 
 
-@struct.dataclass
-class LowObs:
+class LowObs(struct.PyTreeNode):
     """What the low level knows. P: size of the proprioception.
 
     Attributes:
@@ -40,8 +38,7 @@ class LowObs:
     direction: Int[Array, ""]
 
 
-@struct.dataclass
-class Walk:
+class Walk(struct.PyTreeNode):
     """Inner state of `Locomotion`: physics, room, subgoal and time.
 
     Attributes:
@@ -59,8 +56,7 @@ class Walk:
     step: Int[Array, ""]
 
 
-@struct.dataclass
-class Experience:
+class Experience(struct.PyTreeNode):
     """One stored control step, from which the reward of any direction can be computed.
 
     Attributes:
@@ -258,7 +254,6 @@ class Locomotion:
         self._rooms = rooms
         self._reward_options = reward_options
         self._episode_steps = episode_steps
-        self._stand = jnp.asarray(engine.model.key_qpos[0], jnp.float32)
 
     def reset(self, key: Key[Array, ""]) -> base.EnvState:
         """Draws a room, a start, a posture and a first subgoal."""
@@ -266,7 +261,7 @@ class Locomotion:
         room = jax.random.randint(room_key, (), 0, self._rooms.wall.shape[0])
         start_xy = maze_lib.draw_start(self._room(room), start_key)
         walk = Walk(
-            physics=self._draw_pose(start_xy, pose_key),
+            physics=draw_pose(self._engine, start_xy, pose_key),
             room=room,
             subgoal_xy=start_xy,
             direction=jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS),
@@ -341,22 +336,25 @@ class Locomotion:
         steps_left = self.robot.steps_per_subgoal - walk.step % self.robot.steps_per_subgoal
         return observe(walk.physics, walk.subgoal_xy, steps_left, walk.direction, self.robot)
 
-    def _draw_pose(self, xy: Float[Array, "2"], key: Key[Array, ""]) -> engine_lib.PhysicsState:
-        """Returns the standing robot at `xy`, turned at random, its joints a little off."""
-        yaw_key, qpos_key, qvel_key = jax.random.split(key, 3)
-        yaw = jax.random.uniform(yaw_key, (), minval=-jnp.pi, maxval=jnp.pi)
-        qpos = self._stand + self.robot.qpos_noise * jax.random.uniform(
-            qpos_key, self._stand.shape, minval=-1.0, maxval=1.0
-        )
-        qpos = qpos.at[:2].set(xy)
-        if self.robot.root == "free":
-            zero = jnp.zeros_like(yaw)
-            upright = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
-            qpos = qpos.at[2].set(self._stand[2]).at[3:7].set(upright)
-        elif self.robot.root == "planar":
-            qpos = qpos.at[2].set(yaw)
-        qvel = self.robot.qvel_noise * jax.random.normal(qvel_key, (self._engine.model.nv,))
-        return engine_lib.reset(qpos, qvel)
+
+def draw_pose(
+    engine: engine_lib.Engine, xy: Float[Array, "2"], key: Key[Array, ""]
+) -> engine_lib.PhysicsState:
+    """Returns the standing robot at `xy`, turned at random, its joints a little off."""
+    robot, model = engine.robot, engine.model
+    stand = jnp.asarray(model.key_qpos[0], jnp.float32)
+    yaw_key, qpos_key, qvel_key = jax.random.split(key, 3)
+    yaw = jax.random.uniform(yaw_key, (), minval=-jnp.pi, maxval=jnp.pi)
+    noise = jax.random.uniform(qpos_key, stand.shape, minval=-1.0, maxval=1.0)
+    qpos = (stand + robot.qpos_noise * noise).at[:2].set(xy)
+    if robot.root == "free":
+        zero = jnp.zeros_like(yaw)
+        upright = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
+        qpos = qpos.at[2].set(stand[2]).at[3:7].set(upright)
+    elif robot.root == "planar":
+        qpos = qpos.at[2].set(yaw)
+    qvel = robot.qvel_noise * jax.random.normal(qvel_key, (model.nv,))
+    return engine_lib.reset(qpos, qvel)
 
 
 def _turned_proprioception(

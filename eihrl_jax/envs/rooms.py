@@ -6,7 +6,7 @@ import numpy as np
 from eihrl_jax.mazes import maze as maze_lib
 
 START_JITTER = 0.2
-"""Half-width in units of the start's offset: a robot that fits into a cell starts clear of walls."""
+"""Half-width in units of the start's offset; what fits into a cell starts clear of walls."""
 
 
 def open_floor(size: int = 41) -> maze_lib.Maze:

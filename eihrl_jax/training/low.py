@@ -1,4 +1,4 @@
-"""Training the low level: walk, store, learn, measure, checkpoint (paper, Sec. 3.2, first stage)."""
+"""Training the low level: walk, store, learn, measure, checkpoint (paper, Sec. 3.2)."""
 
 import functools
 from collections.abc import Callable
@@ -19,8 +19,7 @@ from eihrl_jax.training import progress as progress_lib
 from eihrl_jax.training import run_folder, subgoals, versions
 
 
-@struct.dataclass
-class LowState:
+class LowState(struct.PyTreeNode):
     """All that a run needs to go on. N: number of environments.
 
     Attributes:
@@ -161,14 +160,14 @@ class LowTrainer:
         envs, stored = self._walk(state.envs, ctrl)
         memory = replay.add(state.memory, stored)
 
-        def learn(
-            learner: droq.DroqState, key: Key[Array, ""]
-        ) -> tuple[droq.DroqState, dict[str, Float[Array, ""]]]:
-            batch_key, update_key = jax.random.split(key)
-            return self._learner.update(learner, self._draw(memory, batch_key), update_key)
-
+        # Drawn at once, outside the loop over updates: XLA would copy the memory into that loop.
+        count = self.config.updates_per_iteration
+        batch_key, update_key = jax.random.split(learn_key)
+        batches = self._draw(memory, count, batch_key)
         learner, learned = jax.lax.scan(
-            learn, state.learner, jax.random.split(learn_key, self.config.updates_per_iteration)
+            lambda learner, batch: self._learner.update(learner, *batch),
+            state.learner,
+            (batches, jax.random.split(update_key, count)),
         )
         state = LowState(
             learner=learner, memory=memory, envs=envs, key=key, iteration=state.iteration + 1
@@ -182,23 +181,24 @@ class LowTrainer:
         stepped = jax.vmap(self._env.step)(envs, ctrl)
         return stepped, jax.vmap(locomotion.experience)(envs, ctrl, stepped)
 
-    def _draw(self, memory: replay.Replay, key: Key[Array, ""]) -> base.Transition:
-        """Draws a batch, relabelled if the run says so."""
+    def _draw(
+        self, memory: replay.Replay, num_batches: int, key: Key[Array, ""]
+    ) -> base.Transition:
+        """Draws batches with leading axes [num_batches, B], relabelled if the run says so."""
         row_key, direction_key = jax.random.split(key)
-        size = self.config.droq.batch_size
-        batch = replay.sample(memory, size, row_key)
+        shape = (num_batches, self.config.droq.batch_size)
+        rows = replay.sample(memory, shape, row_key)
         if self.config.relabel:
-            direction = jax.random.randint(direction_key, (size,), 0, base.NUM_DIRECTIONS)
-            batch = jax.vmap(locomotion.relabel)(batch, direction)
-        return jax.vmap(
-            lambda stored: locomotion.transition(
-                stored,
-                self.robot,
-                self.config.low_input,
-                self.config.reward,
-                self.config.droq.gamma,
-            )
-        )(batch)
+            direction = jax.random.randint(direction_key, shape, 0, base.NUM_DIRECTIONS)
+            rows = jax.vmap(jax.vmap(locomotion.relabel))(rows, direction)
+        transition = functools.partial(
+            locomotion.transition,
+            robot=self.robot,
+            input_options=self.config.low_input,
+            reward_options=self.config.reward,
+            gamma=self.config.droq.gamma,
+        )
+        return jax.vmap(jax.vmap(transition))(rows)
 
     def _roll(
         self, actor_params: Any, key: Key[Array, ""], num_envs: int, num_subgoals: int
