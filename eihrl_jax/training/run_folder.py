@@ -2,7 +2,7 @@
 
     config.json     the options, as `config.to_json` writes them
     versions.json   one entry per start: packages, Python, machine, commit
-    metrics.csv     one row per `log`, columns as in the first row
+    metrics.csv     one row per `log`, one column per metric
     tensorboard/    the same numbers as events
     checkpoints/    see `checkpoint`
 
@@ -26,6 +26,7 @@ from eihrl_jax.training import checkpoint, versions
 
 _LOCK = ".lock"
 _CONFIG = "config.json"
+_METRICS = "metrics.csv"
 _TEMPORARY = ".incomplete-"
 
 
@@ -122,7 +123,7 @@ class RunFolder:
         restored = checkpoint.restore(self.path / "checkpoints", template)
         step = -1 if restored is None else restored[0]
         if jax.process_index() == 0:
-            self._columns = _drop_rows_after(self.path / "metrics.csv", step)
+            self._columns = _drop_rows_after(self.path / _METRICS, step)
             self._first_step = step + 1
         return restored
 
@@ -131,29 +132,27 @@ class RunFolder:
 
         Args:
           step: what the run counts in; grows from row to row.
-          metrics: scalars by name. The first row fixes the columns; a later row may leave some out.
-
-        Raises:
-          ValueError: a name that the first row doesn't have.
+          metrics: scalars by name. A new name adds a column; a name left out leaves an empty field.
         """
         if self._lock is None:
             return
-        table, events = self._files = self._files or self._open(metrics)
-        unknown = [name for name in metrics if name not in self._columns]
-        if unknown:
-            raise ValueError(f"metric {unknown[0]!r} is not in the first row: {self._columns}")
+        if self._files is None:
+            self._files = self._open()
+        table, events = self._files
         values = {name: float(value) for name, value in metrics.items()}
+        new = [name for name in values if name not in self._columns]
+        if new:
+            self._columns += new
+            table.close()
+            table = _add_columns(self.path / _METRICS, self._columns, len(new))
+            self._files = table, events
         row = [step, *(values.get(name, "") for name in self._columns)]
         table.write(",".join(map(str, row)) + "\n")
         for name, value in values.items():
             events.add_scalar(name, value, step)
 
-    def _open(self, metrics: Mapping[str, Any]) -> tuple[TextIO, tensorboardX.SummaryWriter]:
-        is_new = not self._columns
-        table = (self.path / "metrics.csv").open("w" if is_new else "a", buffering=1)
-        if is_new:
-            self._columns = list(metrics)
-            table.write(",".join(["step", *self._columns]) + "\n")
+    def _open(self) -> tuple[TextIO, tensorboardX.SummaryWriter]:
+        table = (self.path / _METRICS).open("a", buffering=1)
         return table, _open_events(self.path / "tensorboard", self._first_step)
 
 
@@ -231,6 +230,14 @@ def _drop_rows_after(file: pathlib.Path, step: int) -> list[str]:
         return []
     _write_whole(file, "".join([lines[0], *kept]))
     return next(csv.reader(lines[:1]))[1:]
+
+
+def _add_columns(file: pathlib.Path, columns: list[str], num_new: int) -> TextIO:
+    """Widens a table, the new fields of its rows being empty, and opens it for further rows."""
+    rows = file.read_text().splitlines()[1:]
+    header = ",".join(["step", *columns])
+    _write_whole(file, "\n".join([header, *(row + "," * num_new for row in rows), ""]))
+    return file.open("a", buffering=1)
 
 
 def _open_events(folder: pathlib.Path, first_step: int) -> tensorboardX.SummaryWriter:

@@ -144,13 +144,30 @@ def test_row_is_on_disk_at_once(tmp_path):
         assert (run.path / "metrics.csv").read_text() == "step,success,loss\n1,0.1,1.0\n"
 
 
-def test_columns_are_those_of_the_first_row(tmp_path):
+def test_new_metrics_add_columns(tmp_path):
     with create(tmp_path / "run") as run:
         record(run, [1])
         run.log(2, {"loss": jnp.float32(0.5)})
-        with pytest.raises(ValueError, match="'fun' is not in the first row"):
-            run.log(3, {"fun": 1.0})
-    assert (run.path / "metrics.csv").read_text().splitlines()[-1] == "2,,0.5"
+        run.log(3, {"loss": 0.25, "fun": 1.0})
+    lines = (run.path / "metrics.csv").read_text().splitlines()
+    assert lines == ["step,success,loss,fun", "1,0.1,1.0,", "2,,0.5,", "3,,0.25,1.0"]
+
+
+def test_metrics_that_came_later_are_kept_apart_by_resume(tmp_path):
+    def measure(run, steps):
+        for step in steps:
+            run.log(step, {"loss": 1.0} | ({"eval": 2.0} if step % 3 == 0 else {}))
+
+    with create(tmp_path / "whole") as whole:
+        measure(whole, range(1, 7))
+    with create(tmp_path / "run") as run:
+        measure(run, [1, 2])
+        run.save(2, STATE)
+        measure(run, [3, 4])
+    with create(tmp_path / "run", resume=True) as run:
+        assert run.restore(STATE)[0] == 2
+        measure(run, range(3, 7))
+    assert (run.path / "metrics.csv").read_text() == (whole.path / "metrics.csv").read_text()
 
 
 def test_damaged_config_is_named(tmp_path):
