@@ -47,10 +47,8 @@ def save(
     """
     if kind == "low" and "robot" not in meta:
         raise ValueError("a low-level policy needs its robot's name in meta")
-    if overwrite and checkpoint.is_complete(path):
-        checkpoint.remove(path)
     text = json.dumps({"kind": kind, **meta}, indent=2, default=str) + "\n"
-    checkpoint.write(path, {"params": params}, files={"meta.json": text})
+    checkpoint.write(path, {"params": params}, files={"meta.json": text}, overwrite=overwrite)
 
 
 def load(

@@ -47,8 +47,10 @@ def save(folder: pathlib.Path, step: int, state: Any, *, keep: int = KEEP) -> pa
     path = folder / f"{step:012d}"
     if not path.exists():
         write(path, state)
-    for old in _steps(folder)[:-keep]:
-        remove(folder / f"{old:012d}")
+    if jax.process_index() == 0:
+        _clean(folder)
+        for old in _steps(folder)[:-keep]:
+            _remove(folder / f"{old:012d}")
     return path
 
 
@@ -71,24 +73,36 @@ def restore(folder: pathlib.Path, template: Any) -> tuple[int, Any] | None:
     return steps[-1], read(folder / f"{steps[-1]:012d}", template)
 
 
-def write(path: pathlib.Path, tree: Any, *, files: Mapping[str, str] | None = None) -> None:
+def write(
+    path: pathlib.Path,
+    tree: Any,
+    *,
+    files: Mapping[str, str] | None = None,
+    overwrite: bool = False,
+) -> None:
     """Writes one tree to the new folder `path`, which appears only when it is complete.
+
+    Where several processes train together, all of them call it, and the first one does what is not
+    Orbax's.
 
     Args:
       path: the folder.
       tree: pytree of arrays, typed keys and numbers.
       files: further text files by name, covered by the same checksums.
+      overwrite: remove what is already there, if it is something that this function wrote.
 
     Raises:
       UserError: something is already there.
     """
-    if path.exists():
-        raise base.UserError(f"{path} exists already and is not overwritten")
     hidden = path.parent / f"{_HIDDEN}{path.name}"
     if jax.process_index() == 0:
+        if overwrite and is_complete(path):
+            _remove(path)
+        if path.exists():
+            raise base.UserError(f"{path} exists already and is not overwritten")
         path.parent.mkdir(parents=True, exist_ok=True)
         _clean(path.parent)
-    ocp.multihost.sync_global_processes("checkpoint: cleaned")
+    ocp.multihost.sync_global_processes("checkpoint: prepared")
     with _checkpointer() as checkpointer:
         checkpointer.save((hidden / "arrays").absolute(), tree)
     if jax.process_index() == 0:
@@ -119,14 +133,6 @@ def read(path: pathlib.Path, template: Any = None) -> Any:
     arguments = ocp.args.PyTreeRestore(item=template, restore_args=restore_args)
     with _checkpointer() as checkpointer:
         return checkpointer.restore((path / "arrays").absolute(), args=arguments)
-
-
-def remove(path: pathlib.Path) -> None:
-    """Removes a checkpoint such that a kill on the way leaves no half of it under its name."""
-    if jax.process_index() == 0:
-        hidden = path.parent / f"{_HIDDEN}removed-{path.name}"
-        path.rename(hidden)
-        shutil.rmtree(hidden)
 
 
 def read_file(path: pathlib.Path, name: str) -> str:
@@ -169,6 +175,13 @@ def _checkpointer() -> ocp.Checkpointer:
 def _steps(folder: pathlib.Path) -> list[int]:
     """Steps of the complete checkpoints, ascending."""
     return sorted(int(path.name) for path in folder.glob("[0-9]*") if path.name.isdecimal())
+
+
+def _remove(path: pathlib.Path) -> None:
+    """Removes a checkpoint such that a kill on the way leaves no half of it under its name."""
+    hidden = path.parent / f"{_HIDDEN}removed-{path.name}"
+    path.rename(hidden)
+    shutil.rmtree(hidden)
 
 
 def _clean(folder: pathlib.Path) -> None:

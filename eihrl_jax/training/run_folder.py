@@ -67,6 +67,8 @@ class RunFolder:
           UserError: the folder holds something and `resume` is false; it holds no run, or one with
             other options; another process is writing to it.
         """
+        if jax.process_index() != 0:
+            return cls(path, None)  # The first process looks after the folder for all.
         holds_something = _holds_something(path)
         if holds_something and not resume:
             raise base.UserError(
@@ -77,8 +79,6 @@ class RunFolder:
         text = config.to_json(options)
         if holds_something:
             _check_same_options(path / _CONFIG, text, {"run", "resume", *may_change})
-        if jax.process_index() != 0:
-            return cls(path, None)  # The first process writes for all.
         path.mkdir(parents=True, exist_ok=True)
         run = cls(path, _take_lock(path))
         if not holds_something:

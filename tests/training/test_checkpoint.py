@@ -76,8 +76,9 @@ def test_leftovers_of_killed_save_are_ignored_and_removed(tmp_path, state):
     shutil.copytree(tmp_path / "000000000001", half)
     (half / "manifest.json").unlink()
     assert checkpoint.restore(tmp_path, state)[0] == 1
-    checkpoint.save(tmp_path, 2, state)
+    checkpoint.save(tmp_path, 1, state)
     assert not half.exists()
+    checkpoint.save(tmp_path, 2, state)
     assert checkpoint.restore(tmp_path, state)[0] == 2
 
 
