@@ -7,17 +7,19 @@ a learner can try hundreds of thousands of decisions per second.
 Observation: bool [P, P, 3], a top view centred on the torso, north up; channels wall, unvisited
 goal, robot (see `raster`).
 Action: int32, index of the direction in `base.DIRECTIONS_XY`.
-Reward: sparse, the number of goals entered for the first time; or dense, 1 / (1 + d), d the distance
-in units to the current goal.
+Reward: sparse, the number of goals entered for the first time; or dense, 1 / (1 + d), d the
+distance in units to the current goal.
 Termination: all goals visited; truncation: the maze's number of decisions.
 Reset: maze, door, start and posture are drawn anew.
 """
 
 import dataclasses
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
@@ -26,6 +28,8 @@ from eihrl_jax.envs import task
 from eihrl_jax.mazes import maze as maze_lib
 
 REWARDS = ("sparse", "dense")
+
+_ABOVE_MINUS_ONE = float(np.nextafter(np.float32(-1.0), np.float32(0.0)))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -67,8 +71,7 @@ class Movement:
             )
 
 
-@struct.dataclass
-class Oracle:
+class Oracle(struct.PyTreeNode):
     """The state of an episode.
 
     Attributes:
@@ -129,14 +132,14 @@ class OracleMaze:
         pack = functools.partial(raster.pack, view=view)
         self._silhouettes = jax.vmap(pack)(jnp.asarray(silhouettes))
 
-    def reset(self, key: Key[Array, ""]) -> base.EnvState:
-        """Draws a new episode; the key is consumed."""
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+        """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, posture_key = jax.random.split(key, 3)
-        nav, xy = task.start(self.course, start_key)
+        nav, xy = task.start(self.course, start_key, maze)
         inner = Oracle(
             nav=nav,
             xy=xy,
-            posture=self._draw_posture(posture_key),
+            posture=self._pick_posture(jax.random.uniform(posture_key)),
             total_reward=jnp.float32(0.0),
         )
         outcome = task.Outcome(
@@ -146,9 +149,11 @@ class OracleMaze:
 
     def step(self, state: base.EnvState, action: Int[Array, ""]) -> base.EnvState:
         """Moves the robot in direction `action`."""
-        next_key, noise_key, posture_key = jax.random.split(state.key, 3)
+        next_key, draw_key = jax.random.split(state.key)
+        # One draw for offset and posture, because on CPU random bits are a large part of the cost.
+        draws = jax.random.uniform(draw_key, (3,), minval=_ABOVE_MINUS_ONE, maxval=1.0)
+        noise = self.movement.sigma * math.sqrt(2.0) * jax.lax.erf_inv(draws[:2])
         course, inner = self.course, state.inner
-        noise = self.movement.sigma * jax.random.normal(noise_key, (2,))
         displacement = self.movement.step * jnp.array(base.DIRECTIONS_XY)[action] + noise
         path_xy = self.move(inner.nav, inner.xy, displacement)
         nav, outcome = task.advance(course, inner.nav, path_xy)
@@ -157,7 +162,7 @@ class OracleMaze:
         inner = Oracle(
             nav=nav,
             xy=path_xy[-1],
-            posture=self._draw_posture(posture_key),
+            posture=self._pick_posture(0.5 * (draws[2] + 1.0)),
             total_reward=inner.total_reward + outcome.reward,
         )
         return self._state(inner, outcome, next_key)
@@ -192,16 +197,17 @@ class OracleMaze:
             xy = jnp.stack([x, y])
             return xy, xy
 
-        _, path_xy = jax.lax.scan(advance, xy, None, length=num, unroll=num)
+        _, path_xy = jax.lax.scan(advance, xy, None, length=num)
         return path_xy
 
     def _is_blocked(self, nav: task.Navigation, edge: Float[Array, "2 2"]) -> Bool[Array, ""]:
         """Tells whether one of the ends of the body's leading edge would be in a wall."""
-        return (task.code_at(self.course, nav, edge) == maze_lib.WALL).any()
+        one, other = task.code_at(self.course, nav, edge)
+        return (one | other) >= maze_lib.WALL
 
-    def _draw_posture(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        """Draws one of the silhouettes, all equally likely."""
-        return jax.random.randint(key, (), 0, self._silhouettes.shape[0])
+    def _pick_posture(self, uniform: Float[Array, ""]) -> Int[Array, ""]:
+        """Turns a uniform draw from [0, 1) into one of the silhouettes, all equally likely."""
+        return task.pick(uniform, jnp.int32(self._silhouettes.shape[0]))
 
     def _state(self, inner: Oracle, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
         """Puts together what `reset` and `step` return."""

@@ -22,13 +22,13 @@ NO_DOOR = -1
 """Row and column of the open door in a maze without door candidates."""
 
 
-@struct.dataclass
-class Course:
+class Course(struct.PyTreeNode):
     """M mazes prepared for the task; R and C as in `Maze`.
 
     Attributes:
       mazes: the mazes as they were given, with leading axis M.
-      codes: uint8 [M, R, C], see `mazes.maze.codes`; door candidates are wall.
+      codes: uint8 [M, R + 2, C + 2], see `mazes.maze.codes`; door candidates are wall, and so is a
+        margin of one cell, which stands for everything outside the grid.
       start_ij: int32 [M, S, 2], row and column of the start cells, padded to the longest list.
       door_ij: int32 [M, D, 2], the same of the door candidates; `NO_DOOR` where there is none.
       num_starts: int32 [M].
@@ -37,7 +37,7 @@ class Course:
     """
 
     mazes: maze_lib.Maze
-    codes: UInt8[Array, "M R C"]
+    codes: UInt8[Array, "M R+2 C+2"]
     start_ij: Int[Array, "M S 2"]
     door_ij: Int[Array, "M D 2"]
     num_starts: Int[Array, "M"]
@@ -50,8 +50,7 @@ class Course:
         return self.codes.shape[0]
 
 
-@struct.dataclass
-class Navigation:
+class Navigation(struct.PyTreeNode):
     """Where an episode stands.
 
     Attributes:
@@ -67,8 +66,7 @@ class Navigation:
     decisions: Int[Array, ""]
 
 
-@struct.dataclass
-class Outcome:
+class Outcome(struct.PyTreeNode):
     """What a decision led to.
 
     Attributes:
@@ -90,7 +88,9 @@ def prepare(mazes: maze_lib.Maze) -> Course:
     doors = [paths.cells(mask) or [(NO_DOOR, NO_DOOR)] for mask in np.asarray(mazes.door)]
     return Course(
         mazes=mazes,
-        codes=maze_lib.codes(mazes),
+        codes=jnp.pad(
+            maze_lib.codes(mazes), ((0, 0), (1, 1), (1, 1)), constant_values=maze_lib.WALL
+        ),
         start_ij=_padded(starts),
         door_ij=_padded(doors),
         num_starts=jnp.array([len(cells) for cells in starts], jnp.int32),
@@ -99,16 +99,24 @@ def prepare(mazes: maze_lib.Maze) -> Course:
     )
 
 
-def start(course: Course, key: Key[Array, ""]) -> tuple[Navigation, Float[Array, "2"]]:
+def start(
+    course: Course, key: Key[Array, ""], maze: Int[Array, ""] | None = None
+) -> tuple[Navigation, Float[Array, "2"]]:
     """Draws maze, door and start of an episode, each uniformly.
+
+    Args:
+      course: the mazes.
+      key: consumed.
+      maze: which maze it is to be; None: any.
 
     Returns:
       The episode at its beginning, and the robot's position in units.
     """
     draws = jax.random.uniform(key, (5,))
-    maze = _pick(draws[0], jnp.int32(course.num_mazes))
-    door = _pick(draws[1], _of(course.num_doors, maze))
-    cell = _pick(draws[2], _of(course.num_starts, maze))
+    if maze is None:
+        maze = pick(draws[0], jnp.int32(course.num_mazes))
+    door = pick(draws[1], _of(course.num_doors, maze))
+    cell = pick(draws[2], _of(course.num_starts, maze))
     offset = (2.0 * draws[3:] - 1.0) * _of(course.mazes.start_jitter, maze)
     nav = Navigation(
         maze=maze,
@@ -186,14 +194,22 @@ def drawn_maze(course: Course, nav: Navigation) -> maze_lib.Maze:
     return maze_lib.open_door(maze, nav.door_ij)
 
 
+def pick(uniform: Float[Array, ""], num: Int[Array, ""]) -> Int[Array, ""]:
+    """Turns a uniform draw from [0, 1) into an index below `num`."""
+    index = (uniform * num.astype(jnp.float32)).astype(jnp.int32)
+    return jnp.minimum(index, num - 1)
+
+
 def _codes(
     course: Course, nav: Navigation, i: Int[Array, "*k"], j: Int[Array, "*k"]
 ) -> UInt8[Array, "*k"]:
     """Returns the codes of cells, those outside the grid wall and the open door goal 1."""
-    maze = 0 if course.num_mazes == 1 else nav.maze
-    codes = course.codes.at[maze, i, j].get(
-        mode="fill", fill_value=maze_lib.WALL, wrap_negative_indices=False
-    )
+    num_mazes, rows, columns = course.codes.shape
+    # One flat index that can't be out of bounds: look-ups by several are much slower on CPU.
+    flat = jnp.clip(i + 1, 0, rows - 1) * columns + jnp.clip(j + 1, 0, columns - 1)
+    if num_mazes > 1:
+        flat += nav.maze * rows * columns
+    codes = course.codes.reshape(-1).at[flat].get(mode="promise_in_bounds")
     is_door = (i == nav.door_ij[0]) & (j == nav.door_ij[1])
     return jnp.where(is_door, jnp.uint8(1), codes)
 
@@ -201,12 +217,6 @@ def _codes(
 def _of(table: Array, maze: Int[Array, ""]) -> Array:
     """Returns one maze's part of a table; of a single maze without a look-up."""
     return table[0] if table.shape[0] == 1 else table[maze]
-
-
-def _pick(uniform: Float[Array, ""], num: Int[Array, ""]) -> Int[Array, ""]:
-    """Turns a uniform draw from [0, 1) into an index below `num`."""
-    index = (uniform * num.astype(jnp.float32)).astype(jnp.int32)
-    return jnp.minimum(index, num - 1)
 
 
 def _padded(cells: list[list[paths.Cell]]) -> Int[Array, "M K 2"]:

@@ -36,7 +36,7 @@ def parse(
       name: how messages call the maze.
       num_decisions: time limit in subgoals; None: four times the longest shortest tour of the
         goals in cells, at least 24.
-      start_jitter: half-width of the uniform offset from the start cell's centre, in [0, 1.5) units.
+      start_jitter: half-width of the uniform offset from the start's centre, in [0, 1.5) units.
 
     Raises:
       base.UserError: the text is not a maze in which every start leads to every goal and door.
