@@ -40,26 +40,6 @@ class Visits:
     density: Float[np.ndarray, "rows columns"]
 
 
-def density(
-    xy: Float[np.ndarray, "N 2"], shape: tuple[int, int], num_episodes: int
-) -> Float[np.ndarray, "rows columns"]:
-    """Counts positions on a fine grid; see `Visits.density`.
-
-    Args:
-      xy: visited positions, units; those outside of the maze are left out.
-      shape: rows and columns of the maze.
-      num_episodes: episodes from which the positions are.
-    """
-    rows, columns = shape
-    count, _, _ = np.histogram2d(
-        -xy[:, 1],
-        xy[:, 0],
-        bins=(rows * BINS_PER_CELL, columns * BINS_PER_CELL),
-        range=((0.0, rows * base.CELL), (0.0, columns * base.CELL)),
-    )
-    return count / (num_episodes * (base.CELL / BINS_PER_CELL) ** 2)
-
-
 def save(path: pathlib.Path, visits: Visits) -> None:
     """Draws the heatmap of one maze with the marginal frequencies beside it, as PNG."""
     rows, columns = visits.maze.wall.shape
@@ -171,9 +151,7 @@ def _draw(axes: matplotlib.axes.Axes, visits: Visits, norm: matplotlib.colors.No
     axes.tick_params(colors=palette.INK)
 
 
-def _rectangle(
-    axes: matplotlib.axes.Axes, cells: tuple[int, int, int, int], **style: Any
-) -> None:
+def _rectangle(axes: matplotlib.axes.Axes, cells: tuple[int, int, int, int], **style: Any) -> None:
     """Adds a rectangle of cells: first row and column, last row and column + 1."""
     i0, j0, i1, j1 = (base.CELL * n for n in cells)
     axes.add_patch(matplotlib.patches.Rectangle((j0, -i1), j1 - j0, i1 - i0, **style))

@@ -154,32 +154,44 @@ def _draw_maze(
     height: int,
 ) -> tuple[Array, Array, Array, Array]:
     """Computes colour, distance, goal number and floor mask of a `Backdrop`."""
-    direction = raycast.pixel_rays(camera, jnp.zeros(2, jnp.int32), height=height, width=width)
-    wall = raycast.boxes(camera.position, direction, low, high)
-    floor = raycast.floor_distance(camera.position, direction)
+    corner = jnp.zeros(2, jnp.int32)
+    direction = raycast.pixel_rays(camera, corner, height=height, width=width)
+    eye = raycast.vector(camera.position)
+    wall = raycast.boxes(eye, direction, low, high)
+    floor = raycast.floor_distance(eye, direction)
     distance = jnp.minimum(wall.distance, floor)
-    point = camera.position + distance[..., None] * direction
-    column_row = jnp.floor(point[..., :2] * jnp.array([1.0, -1.0]) / base.CELL).astype(jnp.int32)
-    j, i = jnp.moveaxis(column_row, -1, 0)
+    point = raycast.along(eye, direction, distance)
+    x, y, _ = point
+    i = jnp.floor(-y / base.CELL).astype(jnp.int32)
+    j = jnp.floor(x / base.CELL).astype(jnp.int32)
     rows, columns = maze.wall.shape
     area_low, area_high = drawn_area(rows, columns)
-    is_inside = ((point > area_low) & (point < area_high))[..., :2].all(-1)
+    is_inside = (x > area_low[0]) & (x < area_high[0]) & (y > area_low[1]) & (y < area_high[1])
     is_floor = (floor < wall.distance) & is_inside
     goal = jnp.where(is_floor, maze.goal[i.clip(0, rows - 1), j.clip(0, columns - 1)], 0)
 
-    normal = jnp.where(is_floor[..., None], jnp.array([0.0, 0.0, 1.0]), wall.normal)
-    light = jnp.asarray(_LIGHT)
-    shadow = raycast.boxes(*raycast.lit(point, normal, light), low, high).index >= 0
-    lambert = jnp.maximum((normal * light).sum(-1), 0.0) * jnp.where(shadow, 1.0 - _SHADOW * 2, 1.0)
-    crevice = 1.0 - 0.28 * jnp.exp(-_wall_distance(point[..., :2], low, high) / 0.55)
+    up = (jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1.0))
+    normal = tuple(jnp.where(is_floor, u, n) for u, n in zip(up, wall.normal, strict=True))
+    light = raycast.vector(jnp.asarray(_LIGHT))
+    is_dark = raycast.boxes(*raycast.to_light(point, normal, light), low, high).index >= 0
+    lambert = jnp.maximum(raycast.dot(normal, light), 0.0)
+    lambert = lambert * jnp.where(is_dark, 1.0 - 2.0 * _SHADOW, 1.0)
     shade = _AMBIENT + (1.0 - _AMBIENT) * lambert / light[2]
-    shade = shade * jnp.where(is_floor, crevice, 1.0)
+    crevice = 1.0 - 0.28 * jnp.exp(-_wall_distance(x, y, low, high) / 0.55)
+    shade = (shade * jnp.where(is_floor, crevice, 1.0))[..., None]
 
-    tile = jnp.where(((i + j) % 2 == 0)[..., None], _rgb("FLOOR"), _rgb("FLOOR_ALTERNATE"))
-    surface = jnp.where(is_floor[..., None], tile, _rgb("WALL"))
-    is_seen = is_floor | (wall.index >= 0)
-    colour = jnp.where(is_seen[..., None], surface * shade[..., None], _rgb("PAPER"))
+    tile = _choose((i + j) % 2 == 0, _rgb("FLOOR"), _rgb("FLOOR_ALTERNATE"))
+    surface = jnp.where(is_floor[..., None], tile, _rgb("WALL")[None, None])
+    is_seen = (is_floor | (wall.index >= 0))[..., None]
+    colour = jnp.where(is_seen, surface * shade, _rgb("PAPER")[None, None])
     return colour.clip(0.0, 1.0), distance, goal, is_floor
+
+
+def _choose(
+    mask: Bool[Array, "H W"], if_true: Float[Array, "3"], if_false: Float[Array, "3"]
+) -> Float[Array, "H W 3"]:
+    """Returns one of two colours per pixel."""
+    return jnp.where(mask[..., None], if_true[None, None], if_false[None, None])
 
 
 def _rgb(name: str) -> Float[Array, "3"]:
@@ -188,15 +200,20 @@ def _rgb(name: str) -> Float[Array, "3"]:
 
 
 def _wall_distance(
-    xy: Float[Array, "H W 2"], low: Float[Array, "B 3"], high: Float[Array, "B 3"]
+    x: Float[Array, "H W"],
+    y: Float[Array, "H W"],
+    low: Float[Array, "B 3"],
+    high: Float[Array, "B 3"],
 ) -> Float[Array, "H W"]:
     """Returns the distance from points of the floor to the nearest wall, units."""
 
     def nearer(best: Array, box: tuple[Array, Array]) -> tuple[Array, None]:
-        gap = jnp.maximum(jnp.maximum(box[0][:2] - xy, xy - box[1][:2]), 0.0)
-        return jnp.minimum(best, jnp.linalg.norm(gap, axis=-1)), None
+        box_low, box_high = box
+        gap_x = jnp.maximum(jnp.maximum(box_low[0] - x, x - box_high[0]), 0.0)
+        gap_y = jnp.maximum(jnp.maximum(box_low[1] - y, y - box_high[1]), 0.0)
+        return jnp.minimum(best, jnp.sqrt(gap_x**2 + gap_y**2)), None
 
-    return jax.lax.scan(nearer, jnp.full(xy.shape[:-1], raycast.FAR), (low, high))[0]
+    return jax.lax.scan(nearer, jnp.full_like(x, raycast.FAR), (low, high))[0]
 
 
 @functools.partial(jax.jit, static_argnames=("size",))
@@ -223,24 +240,22 @@ def draw_robot(
       Colour, distance (`raycast.FAR` beside the robot), and where its shadow falls on the floor.
     """
     direction = raycast.pixel_rays(camera, corner, height=size, width=size)
-    hit = raycast.capsules(camera.position, direction, start, end, radius)
-    point = camera.position + hit.distance[..., None] * direction
-    light = jnp.asarray(_LIGHT)
-    self_shadow = raycast.capsules(*raycast.lit(point, hit.normal, light), start, end, radius)
-    lambert = jnp.maximum((hit.normal * light).sum(-1), 0.0)
-    lambert = lambert * jnp.where(self_shadow.index >= 0, 0.35, 1.0)
-    half = light - direction
-    half = half / jnp.linalg.norm(half, axis=-1, keepdims=True)
-    gloss = 0.30 * jnp.maximum((hit.normal * half).sum(-1), 0.0) ** 30
-    sky = 0.5 + 0.5 * hit.normal[..., 2]
-    surface = jnp.where((hit.index == 0)[..., None], _rgb("ROBOT"), _rgb("ROBOT_LIMB"))
-    shade = 0.40 + 0.16 * sky + 0.52 * lambert
+    eye, light = raycast.vector(camera.position), raycast.vector(jnp.asarray(_LIGHT))
+    hit = raycast.capsules(eye, direction, start, end, radius)
+    point = raycast.along(eye, direction, hit.distance)
+    is_dark = raycast.capsules(*raycast.to_light(point, hit.normal, light), start, end, radius)
+    lambert = jnp.maximum(raycast.dot(hit.normal, light), 0.0)
+    lambert = lambert * jnp.where(is_dark.index >= 0, 0.35, 1.0)
+    x, y, z = (towards - ray for towards, ray in zip(light, direction, strict=True))
+    halfway = raycast.unit((x, y, z))
+    gloss = 0.30 * jnp.maximum(raycast.dot(hit.normal, halfway), 0.0) ** 30
+    shade = 0.48 + 0.08 * hit.normal[2] + 0.52 * lambert
+    surface = _choose(hit.index == 0, _rgb("ROBOT"), _rgb("ROBOT_LIMB"))
     colour = (surface * shade[..., None] + gloss[..., None]).clip(0.0, 1.0)
 
-    floor = raycast.floor_distance(camera.position, direction)
-    floor_point = camera.position + floor[..., None] * direction
-    up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), floor_point.shape)
-    shadow = raycast.capsules(*raycast.lit(floor_point, up, light), start, end, radius)
+    point = raycast.along(eye, direction, raycast.floor_distance(eye, direction))
+    up = (jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1.0))
+    shadow = raycast.capsules(*raycast.to_light(point, up, light), start, end, radius)
     return colour, hit.distance, shadow.index >= 0
 
 
@@ -265,7 +280,9 @@ def place_robot(
     torso = raycast.project(backdrop.camera, jnp.asarray((start[:1] + end[:1]) / 2, jnp.float32))
     corner = np.round(np.asarray(torso)[0] - size / 2).astype(int)
     corner = np.clip(corner, 0, [width - size, height - size])
-    drawn = draw_robot(backdrop.camera, corner, start, end, radius, size=size)
+    drawn = draw_robot(
+        backdrop.camera, jnp.asarray(corner, jnp.int32), start, end, radius, size=size
+    )
     colour, distance, shadow = (np.asarray(x) for x in drawn)
     window = np.s_[corner[1] : corner[1] + size, corner[0] : corner[0] + size]
     part = canvas[window]
@@ -276,6 +293,8 @@ def place_robot(
 
 def finish(canvas: Float[np.ndarray, "H W 3"]) -> np.ndarray:
     """Averages a canvas down to the finished picture, uint8 [H / 2, W / 2, 3]."""
-    height, width = (n // SUPERSAMPLING for n in canvas.shape[:2])
-    blocks = canvas.reshape(height, SUPERSAMPLING, width, SUPERSAMPLING, 3)
-    return np.round(255.0 * blocks.mean((1, 3))).astype(np.uint8)
+    corners = [
+        canvas[i::SUPERSAMPLING, j::SUPERSAMPLING]
+        for i, j in np.ndindex(SUPERSAMPLING, SUPERSAMPLING)
+    ]
+    return (sum(corners) * (255.0 / SUPERSAMPLING**2) + 0.5).astype(np.uint8)

@@ -1,6 +1,8 @@
 """A small ray caster for mazes and robots: boxes, capsules, a floor, one light. Needs no OpenGL.
 
-World coordinates are units with z up and the floor at z = 0. A picture has row 0 at the top.
+World coordinates are units with z up and the floor at z = 0. A picture has row 0 at the top. A
+vector field over the pixels is a tuple of its three components, which XLA handles several times
+faster on CPU than an array whose last axis has length three.
 """
 
 import jax
@@ -14,9 +16,11 @@ FAR = 1e6
 _NUDGE = 1e-3
 """How far a shadow ray starts off the surface, units."""
 
+Vector = tuple[Array, Array, Array]
+"""Components x, y, z, each a scalar or of the shape of the picture [H, W]."""
 
-@struct.dataclass
-class Camera:
+
+class Camera(struct.PyTreeNode):
     """A pinhole camera.
 
     Attributes:
@@ -32,19 +36,40 @@ class Camera:
     centre: Float[Array, "2"]
 
 
-@struct.dataclass
-class Hit:
+class Hit(struct.PyTreeNode):
     """What the rays of H x W pixels meet first.
 
     Attributes:
       distance: [H, W], along the ray, units; `FAR` for nothing.
-      normal: [H, W, 3], unit surface normal.
+      normal: three times [H, W], unit surface normal.
       index: int32 [H, W], index of the box or capsule; -1 for nothing.
     """
 
     distance: Float[Array, "H W"]
-    normal: Float[Array, "H W 3"]
+    normal: Vector
     index: Int[Array, "H W"]
+
+
+def vector(xyz: Float[Array, "3"]) -> Vector:
+    """Splits a vector into its components."""
+    return xyz[0], xyz[1], xyz[2]
+
+
+def dot(a: Vector, b: Vector) -> Float[Array, "..."]:
+    """Multiplies vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def along(origin: Vector, direction: Vector, distance: Float[Array, "H W"]) -> Vector:
+    """Returns the points at some distance along rays."""
+    x, y, z = (o + distance * d for o, d in zip(origin, direction, strict=True))
+    return x, y, z
+
+
+def unit(a: Vector) -> Vector:
+    """Scales vectors to length one."""
+    scale = jax.lax.rsqrt(dot(a, a))
+    return a[0] * scale, a[1] * scale, a[2] * scale
 
 
 def look_at(
@@ -65,13 +90,11 @@ def look_at(
 
 def project(camera: Camera, xyz: Float[Array, "N 3"]) -> Float[Array, "N 2"]:
     """Returns pixel column and row of points in front of the camera."""
-    x, y, depth = jnp.moveaxis((xyz - camera.position) @ camera.axes.T, -1, 0)
-    return camera.centre + camera.focal * jnp.stack([x, y], -1) / depth[:, None]
+    x, y, depth = jnp.moveaxis((xyz - camera.position[None]) @ camera.axes.T, -1, 0)
+    return camera.centre[None] + camera.focal * jnp.stack([x, y], -1) / depth[:, None]
 
 
-def pixel_rays(
-    camera: Camera, corner: Int[Array, "2"], *, height: int, width: int
-) -> Float[Array, "H W 3"]:
+def pixel_rays(camera: Camera, corner: Int[Array, "2"], *, height: int, width: int) -> Vector:
     """Returns the unit directions of the pixels of a window whose top left pixel is `corner`.
 
     Args:
@@ -80,44 +103,47 @@ def pixel_rays(
       height: rows of the window, H.
       width: columns of the window, W.
     """
-    row, column = jnp.mgrid[:height, :width]
-    pixel = jnp.stack([column, row], -1) + corner + 0.5
-    offset = (pixel - camera.centre) / camera.focal
-    direction = jnp.concatenate([offset, jnp.ones((height, width, 1))], -1) @ camera.axes
-    return direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
+    row, column = jnp.mgrid[:height, :width].astype(jnp.float32) + 0.5
+    left, top = camera.centre - corner.astype(jnp.float32)
+    right, down = (column - left) / camera.focal, (row - top) / camera.focal
+    axes = camera.axes
+    x, y, z = (axes[0, i] * right + axes[1, i] * down + axes[2, i] for i in range(3))
+    return unit((x, y, z))
 
 
 def boxes(
-    origin: Float[Array, "... 3"],
-    direction: Float[Array, "H W 3"],
-    low: Float[Array, "B 3"],
-    high: Float[Array, "B 3"],
+    origin: Vector, direction: Vector, low: Float[Array, "B 3"], high: Float[Array, "B 3"]
 ) -> Hit:
     """Intersects rays with axis-parallel boxes.
 
     Args:
-      origin: where the rays start: one point [3], or one for each ray [H, W, 3].
-      direction: unit directions.
+      origin: where the rays start, the same for all or each its own.
+      direction: unit directions [H, W].
       low: lower corners of B boxes.
       high: upper corners.
     """
-    inverse = 1.0 / jnp.where(direction == 0.0, 1e-9, direction)
+    inverse = [1.0 / jnp.where(d == 0.0, 1e-9, d) for d in direction]
 
     def nearer(best: Hit, box: tuple[Array, Array, Array]) -> tuple[Hit, None]:
         box_low, box_high, index = box
-        near = jnp.minimum((box_low - origin) * inverse, (box_high - origin) * inverse)
-        far = jnp.maximum((box_low - origin) * inverse, (box_high - origin) * inverse)
-        distance = near.max(-1)
-        is_hit = (distance < far.min(-1)) & (distance > 0.0) & (distance < best.distance)
-        axis = jax.nn.one_hot(near.argmax(-1), 3)
-        return _replace(best, is_hit, distance, -jnp.sign(direction) * axis, index), None
+        enter, leave = [], []
+        for i in range(3):
+            one = (box_low[i] - origin[i]) * inverse[i]
+            other = (box_high[i] - origin[i]) * inverse[i]
+            enter.append(jnp.minimum(one, other))
+            leave.append(jnp.maximum(one, other))
+        distance = jnp.maximum(jnp.maximum(enter[0], enter[1]), enter[2])
+        end = jnp.minimum(jnp.minimum(leave[0], leave[1]), leave[2])
+        is_hit = (distance < end) & (distance > 0.0) & (distance < best.distance)
+        x, y, z = (jnp.where(enter[i] == distance, -jnp.sign(direction[i]), 0.0) for i in range(3))
+        return _replace(best, is_hit, distance, (x, y, z), index), None
 
     return jax.lax.scan(nearer, _nothing(direction), (low, high, jnp.arange(len(low))))[0]
 
 
 def capsules(
-    origin: Float[Array, "... 3"],
-    direction: Float[Array, "H W 3"],
+    origin: Vector,
+    direction: Vector,
     start: Float[Array, "G 3"],
     end: Float[Array, "G 3"],
     radius: Float[Array, " G"],
@@ -129,35 +155,34 @@ def capsules(
 
     def nearer(best: Hit, capsule: tuple[Array, ...]) -> tuple[Hit, None]:
         start_xyz, end_xyz, r, index = capsule
-        length = jnp.linalg.norm(end_xyz - start_xyz)
-        axis = (end_xyz - start_xyz) / jnp.maximum(length, 1e-6)
-        side = _cylinder(origin - start_xyz, direction, axis, r)
-        along = _dot(origin - start_xyz + side[..., None] * direction, axis)
-        side = jnp.where((along >= 0.0) & (along <= length), side, FAR)
-        ball_start = _ball(origin - start_xyz, direction, r)
-        ball_end = _ball(origin - end_xyz, direction, r)
-        distance = jnp.minimum(side, jnp.minimum(ball_start, ball_end))
-        is_hit = distance < best.distance
-        from_start = origin - start_xyz + distance[..., None] * direction
-        along = jnp.clip(_dot(from_start, axis), 0.0, length)
-        normal = (from_start - along[..., None] * axis) / r
-        return _replace(best, is_hit, distance, normal, index), None
+        span = end_xyz - start_xyz
+        length = jnp.linalg.norm(span)
+        axis = vector(span / jnp.maximum(length, 1e-6))
+        from_start = _minus(origin, vector(start_xyz))
+        side = _cylinder(from_start, direction, axis, r)
+        height = dot(from_start, axis) + side * dot(direction, axis)
+        side = jnp.where((height >= 0.0) & (height <= length), side, FAR)
+        balls = jnp.minimum(
+            _ball(from_start, direction, r),
+            _ball(_minus(origin, vector(end_xyz)), direction, r),
+        )
+        distance = jnp.minimum(side, balls)
+        point = along(from_start, direction, distance)
+        height = jnp.clip(dot(point, axis), 0.0, length)
+        x, y, z = ((p - height * a) / r for p, a in zip(point, axis, strict=True))
+        return _replace(best, distance < best.distance, distance, (x, y, z), index), None
 
     items = (start, end, radius, jnp.arange(len(radius)))
     return jax.lax.scan(nearer, _nothing(direction), items)[0]
 
 
-def floor_distance(
-    origin: Float[Array, "3"], direction: Float[Array, "H W 3"]
-) -> Float[Array, "H W"]:
+def floor_distance(origin: Vector, direction: Vector) -> Float[Array, "H W"]:
     """Returns the distance at which rays meet the floor, `FAR` if they don't."""
-    is_down = direction[..., 2] < 0.0
-    return jnp.where(is_down, -origin[2] / jnp.where(is_down, direction[..., 2], 1.0), FAR)
+    is_down = direction[2] < 0.0
+    return jnp.where(is_down, -origin[2] / jnp.where(is_down, direction[2], -1.0), FAR)
 
 
-def lit(
-    point: Float[Array, "H W 3"], normal: Float[Array, "H W 3"], light: Float[Array, "3"]
-) -> tuple[Float[Array, "H W 3"], Float[Array, "H W 3"]]:
+def to_light(point: Vector, normal: Vector, light: Vector) -> tuple[Vector, Vector]:
     """Returns origin and direction of the rays from surface points towards the light.
 
     Args:
@@ -165,16 +190,23 @@ def lit(
       normal: their normals.
       light: unit vector towards the light.
     """
-    return point + _NUDGE * normal, jnp.broadcast_to(light, point.shape)
+    x, y, z = (p + _NUDGE * n for p, n in zip(point, normal, strict=True))
+    shape = jnp.shape(point[0])
+    return (x, y, z), tuple(jnp.broadcast_to(component, shape) for component in light)
 
 
-def _nothing(direction: Float[Array, "H W 3"]) -> Hit:
+def _minus(a: Vector, b: Vector) -> Vector:
+    """Subtracts vectors."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _nothing(direction: Vector) -> Hit:
     """Returns a hit of nothing for every ray."""
-    shape = direction.shape[:-1]
+    zero = jnp.zeros_like(direction[0])
     return Hit(
-        distance=jnp.full(shape, FAR),
-        normal=jnp.zeros_like(direction),
-        index=jnp.full(shape, -1, jnp.int32),
+        distance=jnp.full_like(zero, FAR),
+        normal=(zero, zero, zero),
+        index=jnp.full(zero.shape, -1, jnp.int32),
     )
 
 
@@ -182,20 +214,12 @@ def _replace(
     best: Hit,
     is_hit: Bool[Array, "H W"],
     distance: Float[Array, "H W"],
-    normal: Float[Array, "H W 3"],
+    normal: Vector,
     index: Int[Array, ""],
 ) -> Hit:
     """Takes over those rays that hit something nearer."""
-    return Hit(
-        distance=jnp.where(is_hit, distance, best.distance),
-        normal=jnp.where(is_hit[..., None], normal, best.normal),
-        index=jnp.where(is_hit, index.astype(jnp.int32), best.index),
-    )
-
-
-def _dot(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "..."]:
-    """Multiplies vectors along the last axis."""
-    return jnp.einsum("...i,...i->...", *jnp.broadcast_arrays(a, b))
+    new = Hit(distance=distance, normal=normal, index=index.astype(jnp.int32))
+    return jax.tree.map(lambda new, old: jnp.where(is_hit, new, old), new, best)
 
 
 def _first_root(
@@ -207,25 +231,18 @@ def _first_root(
     return jnp.where((discriminant > 0.0) & (root > 0.0), root, FAR)
 
 
-def _ball(
-    offset: Float[Array, "... 3"], direction: Float[Array, "H W 3"], radius: Float[Array, ""]
-) -> Float[Array, "H W"]:
+def _ball(offset: Vector, direction: Vector, radius: Float[Array, ""]) -> Float[Array, "H W"]:
     """Distance to a ball from whose centre the rays start at `offset`."""
-    half_b = _dot(offset, direction)
-    c = jnp.broadcast_to(_dot(offset, offset) - radius**2, half_b.shape)
-    return _first_root(jnp.ones_like(half_b), half_b, c)
+    half_b = dot(offset, direction)
+    return _first_root(jnp.ones_like(half_b), half_b, dot(offset, offset) - radius**2)
 
 
 def _cylinder(
-    offset: Float[Array, "... 3"],
-    direction: Float[Array, "H W 3"],
-    axis: Float[Array, "3"],
-    radius: Float[Array, ""],
+    offset: Vector, direction: Vector, axis: Vector, radius: Float[Array, ""]
 ) -> Float[Array, "H W"]:
-    """Distance to an endless cylinder from whose axis the rays start at `offset`."""
-    across = direction - _dot(direction, axis)[..., None] * axis
-    offset = offset - _dot(offset, axis)[..., None] * axis
-    a = jnp.maximum(_dot(across, across), 1e-9)
-    half_b = _dot(across, offset)
-    c = jnp.broadcast_to(_dot(offset, offset) - radius**2, half_b.shape)
+    """Distance to an endless cylinder on whose axis lies the point from which `offset` counts."""
+    direction_along, offset_along = dot(direction, axis), dot(offset, axis)
+    a = jnp.maximum(dot(direction, direction) - direction_along**2, 1e-9)
+    half_b = dot(direction, offset) - direction_along * offset_along
+    c = dot(offset, offset) - offset_along**2 - radius**2
     return _first_root(a, half_b, c)

@@ -94,7 +94,6 @@ class Cell:
       decisions_solved: the same over solved episodes; None where there is none.
       num_falls: episodes in which the robot fell.
       outcomes: number of episodes by outcome.
-      seconds: wall time of the episodes, compilation excluded.
     """
 
     maze: str
@@ -110,7 +109,6 @@ class Cell:
     decisions_solved: float | None
     num_falls: int
     outcomes: Outcomes
-    seconds: float
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -135,7 +133,6 @@ def summarise(
     *,
     num_goals: int,
     num_decisions: int,
-    seconds: float,
 ) -> Cell:
     """Summarises the episodes of one system in one maze."""
     seeds = tuple(int(seed) for seed in dict.fromkeys(episodes.seed.tolist()))
@@ -157,7 +154,6 @@ def summarise(
         decisions_solved=float(solved.mean()) if len(solved) else None,
         num_falls=int(episodes.has_fallen.sum()),
         outcomes=Outcomes(**{name: counts[name] for name in OUTCOMES}),
-        seconds=seconds,
     )
 
 

@@ -59,9 +59,11 @@ class MjxEngine:
             data = jax.lax.fori_loop(
                 0, self.robot.num_substeps, lambda _, d: mjx.step(self._model, d), data
             )
-        return engine.PhysicsState(
+        stepped = engine.PhysicsState(
             qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart
         )
+        is_moving = jnp.isfinite(ctrl).all()
+        return jax.tree.map(lambda new, old: jnp.where(is_moving, new, old), stepped, state)
 
 
 @contextlib.contextmanager

@@ -51,15 +51,15 @@ class MujocoEngine:
         for name in fields:
             view = rows.bind(name)
             view[...] = np.reshape(getattr(state, name), view.shape)
-        rows.bind("ctrl")[...] = np.reshape(ctrl, (rows.nsim, -1))
+        ctrl = np.asarray(ctrl).reshape(rows.nsim, -1)
+        moving = np.flatnonzero(np.isfinite(ctrl).all(1))
+        rows.bind("ctrl")[moving] = ctrl[moving]
         rows.bind("mocap_pos")[..., :2] = np.reshape(walls_xy, (rows.nsim, -1, 2))
         try:
-            rows.step(nstep=self.robot.num_substeps)
+            rows.step(ids=moving, nstep=self.robot.num_substeps)
         except mujoco_batch.SimulationError as error:
             rows.bind("qpos")[error.ids] = np.nan  # the environment's guard ends these episodes
-        return engine.PhysicsState(
-            **{name: _as_float32(rows.bind(name), lead) for name in fields}
-        )
+        return engine.PhysicsState(**{name: _as_float32(rows.bind(name), lead) for name in fields})
 
     def _batch(self, num_rows: int) -> mujoco_batch.Batch:
         """Returns the simulations for `num_rows` rows, made on first use."""

@@ -35,7 +35,6 @@ def nearby(
         )
     else:
         offset_ij = jnp.asarray(_RING)
-    cell_xy = jax.vmap(maze_lib.cell_xy)(own_ij + offset_ij)
+    cell_xy = jax.vmap(maze_lib.cell_xy)(own_ij[None] + offset_ij)
     is_wall = jax.vmap(maze_lib.is_wall, in_axes=(None, 0))(maze, cell_xy)
-    return jnp.where(is_wall[:, None], cell_xy, jnp.array(scene.PARKED_XY))
-
+    return jnp.where(is_wall[:, None], cell_xy, jnp.array([scene.PARKED_XY]))

@@ -1,0 +1,71 @@
+"""Options of an evaluation: which systems, in which mazes, how many episodes."""
+
+import dataclasses
+import pathlib
+from typing import Literal
+
+from eihrl_jax import base
+from eihrl_jax.config import checks
+
+RANDOM = "random"
+"""What the high level is called that chooses directions uniformly."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EvaluateConfig:
+    """Evaluates two-level systems in mazes: every robot x movement x high level in every maze.
+
+    Success is achieved goals / total goals, with 95 % intervals. Writes eval.json, episodes.csv,
+    tables.md, a heatmap per maze, and an animation.
+
+    Attributes:
+      mazes: names (random, u, s, spiral, g1, g2, g3) or text files; default: Table 1 of the paper.
+      robot: point, ant, swimmer or humanoid; several may be given.
+      movement: oracle: the simulator moves the torso; full: the robot walks with its low level.
+      high: run folders, policy folders or names of shipped policies; random: uniform directions.
+      low: low level of each robot for full movement, like `high`; none: the robots' shipped ones.
+      episodes: per maze and seed.
+      seeds: of the evaluation's random numbers; each runs all episodes anew.
+      out: folder of the results; must be new or empty.
+      num_decisions: time limit in subgoals; none: each maze's own (paper, Table 3 divided by 25).
+      greedy: take the most likely direction instead of a sample.
+      step: units that oracle movement goes per subgoal.
+      sigma: standard deviation in units and per axis of the oracle's random offset.
+      engine: physics engine of full movement.
+      animate: an animation of one maze, of all, or of none.
+    """
+
+    mazes: tuple[str, ...] = ("random", "g1", "g2", "g3")
+    robot: tuple[str, ...] = ("ant",)
+    movement: tuple[Literal["oracle", "full"], ...] = ("oracle", "full")
+    high: tuple[str, ...] = ("ant",)
+    low: tuple[str, ...] = ()
+    episodes: int = 500
+    seeds: tuple[int, ...] = (0,)
+    out: pathlib.Path = pathlib.Path("runs/evaluation")
+    num_decisions: int | None = None
+    greedy: bool = False
+    step: float = base.CELL
+    sigma: float = 0.3
+    engine: Literal["mujoco", "mjx"] = "mujoco"
+    animate: Literal["one", "all", "none"] = "one"
+
+    def __post_init__(self) -> None:
+        """Checks ranges, and that nothing is asked for twice."""
+        for name in ("mazes", "robot", "movement", "high", "seeds"):
+            values = getattr(self, name)
+            if not values:
+                raise base.UserError(f"{name} is empty; give at least one")
+            repeated = [value for i, value in enumerate(values) if value in values[:i]]
+            if repeated:
+                raise base.UserError(f"{name} names {repeated[0]!r} more than once")
+        checks.in_range("episodes", self.episodes, 1, 1_000_000)
+        for seed in self.seeds:
+            checks.in_range("seeds", seed, 0, 2**32 - 1)
+        if self.num_decisions is not None:
+            checks.in_range("num_decisions", self.num_decisions, 1, 10_000)
+        if self.low and len(self.low) != len(self.robot):
+            raise base.UserError(
+                f"low names {len(self.low)} policies for {len(self.robot)} robots; "
+                "give one for each robot, or none"
+            )

@@ -1,0 +1,202 @@
+"""A robot that really walks in a maze: the same task and picture as `oracle_maze`, with physics.
+
+A decision is `begin`, k times `control`, and `end`. What chooses the controls in between is the low
+level, which `agents.hierarchy` puts in.
+
+Observation: bool [P, P, 3], a top view centred on the torso, north up, see `raster`; the silhouette
+is that of the robot's real posture.
+Reward and end of an episode: those of `task`, along the torso's real path. A fall costs nothing and
+ends nothing (there is no reset); a simulation that breaks down terminates the episode.
+Reset: maze, door and start are drawn anew; the robot stands there, turned at random, its joints a
+little off.
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax import base, raster
+from eihrl_jax.envs import locomotion, task
+from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import kinematics, walls
+
+
+class Body(struct.PyTreeNode):
+    """The robot of an episode.
+
+    Attributes:
+      physics: its state.
+      visited: bool [9], goals that the torso has been in.
+      steps_left: int32, control steps left in the subgoal, k at its beginning.
+      is_running: whether the episode goes on; else the robot rests.
+      is_fallen: whether it lies on the ground now.
+      has_fallen: whether it ever did in this episode.
+      is_broken: whether its simulation has broken down; it rests from then on.
+    """
+
+    physics: engine_lib.PhysicsState
+    visited: Bool[Array, "9"]
+    steps_left: Int[Array, ""]
+    is_running: Bool[Array, ""]
+    is_fallen: Bool[Array, ""]
+    has_fallen: Bool[Array, ""]
+    is_broken: Bool[Array, ""]
+
+
+class Subgoal(struct.PyTreeNode):
+    """What stays as it is while a subgoal is followed.
+
+    Attributes:
+      maze: the episode's maze with its door open.
+      nav: where the episode stood when the subgoal was given.
+      start_xy: float32 [2], where the torso was then, units.
+      direction: int32, the subgoal.
+    """
+
+    maze: maze_lib.Maze
+    nav: task.Navigation
+    start_xy: Float[Array, "2"]
+    direction: Int[Array, ""]
+
+
+class Walk(struct.PyTreeNode):
+    """The state of an episode.
+
+    Attributes:
+      nav: where the episode stands.
+      body: the robot.
+      total_reward: float32, rewards of the episode so far.
+    """
+
+    nav: task.Navigation
+    body: Body
+    total_reward: Float[Array, ""]
+
+
+class PhysicsMaze:
+    """One maze, or a different one in every episode, with a robot moved by its controls.
+
+    Metrics, so far in the episode: `success` visited goals / goals, `decisions`, `return`, and 0 or
+    1 for `fell` and `broke_down`.
+    """
+
+    def __init__(self, engine: engine_lib.Engine, mazes: maze_lib.Maze, *, view: raster.View):
+        """Prepares mazes and silhouettes.
+
+        Args:
+          engine: moves the robot.
+          mazes: one maze, or several with a leading axis of which each episode draws one.
+          view: extent and resolution of the observation.
+        """
+        self.robot = engine.robot
+        self.course = task.prepare(mazes)
+        self.view = view
+        self._engine = engine
+        self._capsules = kinematics.capsules(engine.model)
+
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+        """Draws a new episode, in a given maze or in any; the key is consumed."""
+        next_key, start_key, pose_key = jax.random.split(key, 3)
+        nav, xy = task.start(self.course, start_key, maze)
+        no = jnp.zeros((), bool)
+        body = Body(
+            physics=locomotion.draw_pose(self._engine, xy, pose_key),
+            visited=nav.visited,
+            steps_left=jnp.int32(self.robot.steps_per_subgoal),
+            is_running=~no,
+            is_fallen=no,
+            has_fallen=no,
+            is_broken=no,
+        )
+        zero = jnp.float32(0.0)
+        outcome = task.Outcome(reward=zero, terminated=no, truncated=no)
+        return self._state(Walk(nav=nav, body=body, total_reward=zero), outcome, next_key)
+
+    def begin(self, state: base.EnvState, direction: Int[Array, ""]) -> tuple[Subgoal, Body]:
+        """Begins a decision; in an episode that is over the robot rests through it."""
+        walk: Walk = state.inner
+        subgoal = Subgoal(
+            maze=task.drawn_maze(self.course, walk.nav),
+            nav=walk.nav,
+            start_xy=walk.body.physics.qpos[:2],
+            direction=direction,
+        )
+        is_running = ~(state.terminated | state.truncated)
+        steps_left = jnp.int32(self.robot.steps_per_subgoal)
+        return subgoal, walk.body.replace(is_running=is_running, steps_left=steps_left)
+
+    def low_obs(self, subgoal: Subgoal, body: Body) -> locomotion.LowObs:
+        """Returns what the low level knows, see `locomotion.observe`."""
+        return locomotion.observe(
+            body.physics, subgoal.start_xy, body.steps_left, subgoal.direction, self.robot
+        )
+
+    def control(self, subgoal: Subgoal, body: Body, ctrl: Float[Array, " nu"]) -> Body:
+        """Advances one control step; `ctrl` in [-1, 1].
+
+        The robot rests once the last goal is reached or its simulation has broken down.
+        """
+        near = walls.nearby(subgoal.maze, body.physics.qpos[:2], self.robot.num_walls)
+        stepped = self._engine.step(body.physics, jnp.where(body.is_running, ctrl, jnp.nan), near)
+        numbers = jnp.concatenate([stepped.qpos, stepped.qvel, ctrl])
+        is_broken = body.is_running & ~jnp.isfinite(numbers).all()
+        physics = jax.tree.map(
+            lambda new, old: jnp.where(is_broken, old, new), stepped, body.physics
+        )
+        nav = subgoal.nav.replace(visited=body.visited)
+        nav, outcome = task.advance(self.course, nav, physics.qpos[None, :2])
+        is_fallen = locomotion.is_fallen(physics.qpos, self.robot)
+        return Body(
+            physics=physics,
+            visited=nav.visited,
+            steps_left=body.steps_left - 1,
+            is_running=body.is_running & ~is_broken & ~outcome.terminated,
+            is_fallen=is_fallen,
+            has_fallen=body.has_fallen | is_fallen,
+            is_broken=body.is_broken | is_broken,
+        )
+
+    def end(self, state: base.EnvState, body: Body, path_xy: Float[Array, "T 2"]) -> base.EnvState:
+        """Ends a decision: pays the goals entered, counts it, and looks around.
+
+        Args:
+          state: before the decision.
+          body: the robot after it.
+          path_xy: torso positions after each control step, units.
+        """
+        walk: Walk = state.inner
+        nav, outcome = task.advance(self.course, walk.nav, path_xy)
+        outcome = outcome.replace(
+            terminated=outcome.terminated | body.is_broken,
+            truncated=outcome.truncated & ~body.is_broken,
+        )
+        walk = Walk(nav=nav, body=body, total_reward=walk.total_reward + outcome.reward)
+        return self._state(walk, outcome, state.key)
+
+    def _state(self, walk: Walk, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
+        """Puts together what `reset` and `end` return."""
+        xy = walk.body.physics.qpos[:2]
+        start, end, radius = self._capsules(walk.body.physics.qpos)
+        silhouette = raster.footprint(
+            start[:, :2] - xy[None], end[:, :2] - xy[None], radius, self.view
+        )
+        packed = raster.pack(silhouette, self.view)
+        obs = task.observe(self.course, walk.nav, xy, packed, self.view)
+        return base.EnvState(
+            inner=walk,
+            obs=obs,
+            final_obs=obs,
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            truncated=outcome.truncated,
+            metrics={
+                "success": task.success(self.course, walk.nav),
+                "decisions": walk.nav.decisions.astype(jnp.float32),
+                "return": walk.total_reward,
+                "fell": walk.body.has_fallen.astype(jnp.float32),
+                "broke_down": walk.body.is_broken.astype(jnp.float32),
+            },
+            key=key,
+        )

@@ -1,0 +1,136 @@
+"""Evaluates systems in mazes: loads them, runs the episodes, has everything written."""
+
+import dataclasses
+import json
+import pathlib
+
+from eihrl_jax import base, config, mazes, robots
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.evaluation import report, results, rollouts, systems
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.robots import robot as robot_lib
+from eihrl_jax.training import progress as progress_lib
+from eihrl_jax.training import versions
+
+NUM_RECORDED = 12
+"""Episodes per maze among which a typical one is found for the animation."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Prepared:
+    """A system that is ready to run."""
+
+    system: results.System
+    robot: robot_lib.Robot
+    env: rollouts.Traced
+    high_policy: rollouts.HighPolicy
+
+
+def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
+    """Runs an evaluation and fills its folder, see `report`.
+
+    Args:
+      options: what is to be evaluated.
+
+    Returns:
+      What `eval.json` holds; `tables` turns its cells into tables.
+
+    Raises:
+      base.UserError: the folder isn't empty; a maze, robot or policy is unknown or doesn't fit.
+    """
+    _check_new(options.out)
+    chosen = _load_mazes(options)
+    prepared = _prepare(options, mazes.stack(list(chosen.values())))
+    plan = rollouts.Plan(
+        mazes=chosen,
+        seeds=options.seeds,
+        num_episodes=options.episodes,
+        num_recorded=0 if options.animate == "none" else NUM_RECORDED,
+    )
+    options.out.mkdir(parents=True, exist_ok=True)
+    cells: list[results.Cell] = []
+    seconds: dict[str, float] = {}
+    for item in prepared:
+        title = f"{item.system.robot}, {item.system.movement} movement"
+        with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
+            found, taken = rollouts.run(item.env, item.high_policy, plan, progress)
+        cells += _summarise(item.system, found, chosen)
+        seconds[report.file_name(item.system)] = round(taken, 2)
+        report.write_episodes(options.out, item.system, found, chosen)
+        report.draw_heatmaps(options.out, item.system, found, chosen)
+        if options.animate == "all" or (options.animate == "one" and item is prepared[-1]):
+            names = list(chosen) if options.animate == "all" else list(chosen)[:1]
+            for name in names:
+                report.animate(options.out, item.system, item.robot, found[name], name)
+    about = {
+        "config": json.loads(config.to_json(options)),
+        "versions": versions.describe(),
+        "seconds": seconds,
+    }
+    evaluation = results.Evaluation(about=about, cells=tuple(cells))
+    report.write_results(options.out, evaluation)
+    return evaluation
+
+
+def _check_new(out: pathlib.Path) -> None:
+    """Makes sure that nothing can be overwritten."""
+    if out.exists() and not out.is_dir():
+        raise base.UserError(f"out = {out} is not a folder")
+    if out.exists() and any(out.iterdir()):
+        raise base.UserError(f"out = {out} is not empty; name a new or empty folder")
+
+
+def _load_mazes(options: evaluate_config.EvaluateConfig) -> dict[str, mazes.Maze]:
+    """Loads the mazes by their labels: names, or the stems of files."""
+    chosen: dict[str, mazes.Maze] = {}
+    for name in options.mazes:
+        label = name if name in mazes.NAMES else pathlib.Path(name).stem
+        maze = mazes.load(name, num_decisions=options.num_decisions)
+        if label in chosen:
+            raise base.UserError(f"mazes: {name!r} would be the second one called {label!r}")
+        chosen[label] = maze
+    return chosen
+
+
+def _prepare(options: evaluate_config.EvaluateConfig, stacked: mazes.Maze) -> list[_Prepared]:
+    """Loads all policies and builds all environments before anything runs."""
+    highs = [systems.load_high(name, greedy=options.greedy) for name in options.high]
+    prepared = []
+    for i, robot_name in enumerate(options.robot):
+        robot = robots.load(robot_name)
+        for movement in options.movement:
+            low = None
+            if movement == "full":
+                low = options.low[i] if options.low else robot_name
+                low_policy = systems.load_low(low, robot)
+                engine = engine_lib.make(robot, options.engine)
+            for high in highs:
+                if movement == "full":
+                    env = systems.full(engine, stacked, high.view, low_policy)
+                else:
+                    env = systems.oracle(
+                        robot, stacked, high.view, step=options.step, sigma=options.sigma
+                    )
+                system = results.System(
+                    robot=robot_name, movement=movement, high=high.label, low=low
+                )
+                prepared.append(_Prepared(system, robot, env, high.policy))
+    return prepared
+
+
+def _summarise(
+    system: results.System,
+    found: dict[str, rollouts.Rollout],
+    chosen: dict[str, mazes.Maze],
+) -> list[results.Cell]:
+    """Summarises one system's episodes maze by maze."""
+    return [
+        results.summarise(
+            name,
+            system,
+            rollout.episodes,
+            num_goals=int(chosen[name].num_goals),
+            num_decisions=int(chosen[name].num_decisions),
+        )
+        for name, rollout in found.items()
+    ]

@@ -1,0 +1,137 @@
+"""Files of an evaluation: numbers, tables and pictures in one folder.
+
+    eval.json                    see `results.Evaluation`
+    tables.md                    the tables of the terminal
+    episodes.csv                 one row per episode
+    <system>-<maze>-heatmap.png  visited positions (paper, Figure 7)
+    <system>-heatmaps.png        all mazes on one scale
+    <system>-<maze>.gif          an episode
+
+A system is called by its robot, movement and high level, e.g. `ant-full-random`.
+"""
+
+import csv
+import pathlib
+import re
+
+import numpy as np
+
+from eihrl_jax import mazes
+from eihrl_jax.evaluation import animation, curves, heatmap, results, rollouts, tables
+from eihrl_jax.physics import kinematics, scene
+from eihrl_jax.robots import robot as robot_lib
+
+_EPISODE_COLUMNS = (
+    *("robot", "movement", "high", "low", "maze", "seed", "episode", "achieved", "goals"),
+    *("return", "decisions", "fell", "outcome"),
+)
+
+
+def file_name(system: results.System) -> str:
+    """Returns how files call a system."""
+    words = (system.robot, system.movement, pathlib.PurePath(system.high).name)
+    return re.sub(r"[^\w.-]+", "_", "-".join(words))
+
+
+def title(system: results.System, maze: str) -> str:
+    """Returns how pictures call a system in a maze."""
+    name = tables.TABLE1_MAZES.get(maze, maze)
+    moves = "walking" if system.movement == "full" else "oracle movement"
+    return f"{name} · {system.robot}, {moves}"
+
+
+def write_results(out: pathlib.Path, evaluation: results.Evaluation) -> None:
+    """Writes `eval.json` and `tables.md`."""
+    results.save(out / "eval.json", evaluation)
+    (out / "tables.md").write_text(tables.markdown(evaluation.cells))
+
+
+def write_episodes(
+    out: pathlib.Path,
+    system: results.System,
+    found: dict[str, rollouts.Rollout],
+    chosen: dict[str, mazes.Maze],
+) -> None:
+    """Appends the episodes of one system to `episodes.csv`."""
+    path = out / "episodes.csv"
+    is_new = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.writer(file)
+        if is_new:
+            writer.writerow(_EPISODE_COLUMNS)
+        for maze, rollout in found.items():
+            episodes, num_goals = rollout.episodes, int(chosen[maze].num_goals)
+            outcomes = episodes.outcomes(num_goals)
+            numbers = {seed: 0 for seed in episodes.seed.tolist()}
+            for i, outcome in enumerate(outcomes):
+                seed = int(episodes.seed[i])
+                row = [system.robot, system.movement, system.high, system.low or ""]
+                row += [maze, seed, numbers[seed], int(episodes.achieved[i]), num_goals]
+                row += [float(episodes.returns[i]), int(episodes.decisions[i])]
+                writer.writerow([*row, int(episodes.has_fallen[i]), outcome])
+                numbers[seed] += 1
+
+
+def draw_heatmaps(
+    out: pathlib.Path,
+    system: results.System,
+    found: dict[str, rollouts.Rollout],
+    chosen: dict[str, mazes.Maze],
+) -> None:
+    """Draws where one system has been: one picture per maze, and one of all."""
+    visits = [
+        heatmap.Visits(title(system, name), chosen[name], rollout.density)
+        for name, rollout in found.items()
+    ]
+    for name, item in zip(found, visits, strict=True):
+        heatmap.save(out / f"{file_name(system)}-{name}-heatmap.png", item)
+    if len(visits) > 1:
+        heatmap.save_together(out / f"{file_name(system)}-heatmaps.png", visits)
+
+
+def animate(
+    out: pathlib.Path,
+    system: results.System,
+    robot: robot_lib.Robot,
+    rollout: rollouts.Rollout,
+    maze: str,
+) -> None:
+    """Animates a typical episode of one system in one maze."""
+    capsules = kinematics.capsules(scene.build(robot))
+    animation.save(
+        out / f"{file_name(system)}-{maze}.gif",
+        typical(rollout),
+        capsules,
+        title=tables.TABLE1_MAZES.get(maze, maze),
+        reach=robot.reach,
+    )
+
+
+def typical(rollout: rollouts.Rollout) -> animation.Recording:
+    """Returns the recorded episode of median length among those that achieved most."""
+    achieved = rollout.episodes.achieved[: len(rollout.recordings)]
+    best = np.flatnonzero(achieved == achieved.max())
+    lengths = [len(rollout.recordings[i].direction) for i in best]
+    return rollout.recordings[best[np.argsort(lengths, kind="stable")[len(best) // 2]]]
+
+
+def draw_learning_curve(run: pathlib.Path) -> pathlib.Path:
+    """Draws success against decisions of a run of `train_high` into its folder.
+
+    Returns:
+      The picture's path.
+
+    Raises:
+      base.UserError: the folder has no metrics.
+    """
+    points = curves.read(run / "metrics.csv", "decisions", "success")
+    path = run / "learning_curve.png"
+    curves.save(
+        path,
+        {run.name: points},
+        x_label="decisions",
+        y_label="success in training, %",
+        y_scale=100.0,
+        y_range=(0.0, 100.0),
+    )
+    return path

@@ -1,0 +1,363 @@
+"""Runs many episodes at once, in several mazes, and keeps what tables and pictures need.
+
+Every episode has its own stream of random numbers, drawn from seed, maze and its number: which
+other episodes run beside it changes nothing. One that is over rests and costs no physics.
+"""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax import base, mazes
+from eihrl_jax.agents import hierarchy
+from eihrl_jax.envs import oracle_maze, task
+from eihrl_jax.evaluation import animation, heatmap, results
+from eihrl_jax.training import progress as progress_lib
+
+MAX_ROWS = 1024
+"""Most episodes that run at once."""
+
+HighPolicy = Callable[[Any, Key[Array, ""]], Int[Array, ""]]
+"""From the patch and a key to a direction."""
+
+
+class Traced(Protocol):
+    """An environment of decisions that also tells the way, see `agents.hierarchy.Hierarchy`."""
+
+    @property
+    def course(self) -> task.Course:
+        """Its mazes."""
+        ...
+
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+        """Draws a new episode."""
+        ...
+
+    def trace(
+        self, state: base.EnvState, action: Int[Array, ""]
+    ) -> tuple[base.EnvState, hierarchy.Trace]:
+        """Follows a direction for one subgoal."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class TracedOracle:
+    """Oracle movement, which tells a straight way and the posture that it shows at its end.
+
+    Attributes:
+      env: the environment.
+      qpos: float32 [N, nq], the postures whose silhouettes it draws.
+    """
+
+    env: oracle_maze.OracleMaze
+    qpos: Float[Array, "N nq"]
+
+    @property
+    def course(self) -> task.Course:
+        """Its mazes."""
+        return self.env.course
+
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+        """Draws a new episode, in a given maze or in any; the key is consumed."""
+        return self.env.reset(key, maze)
+
+    def trace(
+        self, state: base.EnvState, action: Int[Array, ""]
+    ) -> tuple[base.EnvState, hierarchy.Trace]:
+        """Follows a direction for one subgoal."""
+        following = self.env.step(state, action)
+        num = self.env.movement.num_substeps
+        share = jnp.linspace(0.0, 1.0, num + 1)[1:, None]
+        start_xy, end_xy = state.inner.xy[None], following.inner.xy[None]
+        posture = self.qpos[following.inner.posture]
+        qpos = jnp.repeat(posture[None], num, axis=0)
+        qpos = qpos.at[:, :2].set((1.0 - share) * start_xy + share * end_xy)
+        is_running = ~(state.terminated | state.truncated)
+        return following, hierarchy.Trace(
+            qpos=qpos,
+            is_fallen=jnp.zeros(num, bool),
+            is_running=jnp.repeat(is_running, num),
+        )
+
+
+class Step(struct.PyTreeNode):
+    """One decision of E episodes.
+
+    Attributes:
+      obs: bool [E, P, P, 3], what the high level saw.
+      action: int32 [E].
+      trace: the way, with leading axis E.
+    """
+
+    obs: Bool[Array, "E P P 3"]
+    action: Int[Array, " E"]
+    trace: hierarchy.Trace
+
+
+@dataclasses.dataclass(frozen=True)
+class Rollout:
+    """All episodes of one system in one maze.
+
+    Attributes:
+      episodes: their numbers.
+      density: see `heatmap.Visits`.
+      recordings: the first episodes of the first seed, to be drawn.
+    """
+
+    episodes: results.Episodes
+    density: Float[np.ndarray, "rows columns"]
+    recordings: list[animation.Recording]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Which episodes are to be run.
+
+    Attributes:
+      mazes: by name.
+      seeds: of the random numbers; each runs all episodes anew.
+      num_episodes: per maze and seed.
+      num_recorded: how many of the first seed's episodes are recorded per maze.
+    """
+
+    mazes: dict[str, mazes.Maze]
+    seeds: tuple[int, ...]
+    num_episodes: int
+    num_recorded: int = 0
+
+    @property
+    def num_decisions(self) -> int:
+        """Most decisions that all episodes can take together."""
+        limits = sum(int(maze.num_decisions) for maze in self.mazes.values())
+        return limits * len(self.seeds) * self.num_episodes
+
+
+@dataclasses.dataclass(frozen=True)
+class _Batch:
+    """Finished episodes that ran together, E of them in M mazes.
+
+    Attributes:
+      rows: int [E, 3], seed, maze and number of each.
+      columns: arrays [E] by field of `results.Episodes`.
+      count: int [M, rows, columns], how often the torso was in each bin of the mazes.
+      recordings: by row of the batch.
+    """
+
+    rows: Int[np.ndarray, "E 3"]
+    columns: dict[str, np.ndarray]
+    count: Int[np.ndarray, "M rows columns"]
+    recordings: dict[int, animation.Recording]
+
+
+def run(
+    env: Traced, high_policy: HighPolicy, plan: Plan, progress: progress_lib.Progress
+) -> tuple[dict[str, Rollout], float]:
+    """Runs the planned episodes.
+
+    Args:
+      env: environment of the plan's mazes, in their order.
+      high_policy: chooses the directions.
+      plan: which episodes.
+      progress: is told the decisions spent; those that an episode did not need count as spent.
+
+    Returns:
+      What happened in each maze, and the seconds that it took, compiling left out.
+    """
+    rows = np.array(
+        [
+            (seed, maze, episode)
+            for seed in plan.seeds
+            for maze in range(len(plan.mazes))
+            for episode in range(plan.num_episodes)
+        ]
+    )
+    num_batches = math.ceil(len(rows) / MAX_ROWS)
+    # All batches have one size, so that nothing is compiled twice; the last may run on in vain.
+    size = math.ceil(len(rows) / num_batches)
+    runner = _Runner(env, high_policy, plan, progress)
+    with progress.compiling("episodes"):
+        runner.compile(size)
+    start = time.monotonic()
+    batches = [runner.run(rows[i : i + size], size) for i in range(0, len(rows), size)]
+    seconds = time.monotonic() - start
+    return {name: _rollout(batches, plan, i) for i, name in enumerate(plan.mazes)}, seconds
+
+
+class _Runner:
+    """Compiled functions of one system, and the loop around them."""
+
+    def __init__(
+        self, env: Traced, high_policy: HighPolicy, plan: Plan, progress: progress_lib.Progress
+    ):
+        self._env = env
+        self._high_policy = high_policy
+        self._plan = plan
+        self._progress = progress
+        self._spent = 0
+        self._solved: list[np.ndarray] = []
+
+    def compile(self, size: int) -> None:
+        """Compiles for batches of `size` episodes."""
+        keys = jax.vmap(jax.random.key)(jnp.zeros(size, jnp.uint32))
+        index = jnp.zeros(size, jnp.int32)
+        self._reset = jax.jit(jax.vmap(self._env.reset)).lower(keys, index).compile()
+        states = jax.eval_shape(self._reset, keys, index)
+        self._decide = jax.jit(self._decide_all).lower(states, keys, jnp.int32(0)).compile()
+
+    def _decide_all(
+        self, states: base.EnvState, keys: Key[Array, " E"], t: Int[Array, ""]
+    ) -> tuple[base.EnvState, Step]:
+        """Makes decision `t` of every episode that is not over."""
+
+        def decide(state: base.EnvState, key: Key[Array, ""]) -> tuple[base.EnvState, Step]:
+            action = self._high_policy(state.obs, jax.random.fold_in(key, t))
+            following, trace = self._env.trace(state, action)
+            is_over = state.terminated | state.truncated
+            kept = jax.tree.map(lambda old, new: jnp.where(is_over, old, new), state, following)
+            return kept, Step(obs=state.obs, action=action, trace=trace)
+
+        return jax.vmap(decide)(states, keys)
+
+    def run(self, rows: Int[np.ndarray, "E 3"], size: int) -> _Batch:
+        """Runs episodes to their ends, in a batch filled up to `size`."""
+        padded = np.concatenate([rows, rows[:1].repeat(size - len(rows), 0)])
+        env_keys, high_keys = _streams(padded)
+        index = jnp.asarray(padded[:, 1], jnp.int32)
+        states = self._reset(env_keys, index)
+        limit = self._env.course.mazes.num_decisions[index][: len(rows)]
+        is_recorded = (rows[:, 0] == self._plan.seeds[0]) & (rows[:, 2] < self._plan.num_recorded)
+        recorded = np.flatnonzero(is_recorded)
+        history: list[Step] = []
+        count = np.zeros(_bins(self._env), int)
+        is_over = np.zeros(len(rows), bool)
+        while not is_over.all():
+            states, step = self._decide(states, high_keys, jnp.int32(len(history)))
+            _count(count, step.trace, rows)
+            history.append(jax.tree.map(lambda leaf: np.asarray(leaf[recorded]), step))
+            is_over = np.asarray(states.terminated | states.truncated)[: len(rows)]
+            self._report(states, limit, is_over)
+        self._spent += int(limit.sum())
+        columns = _columns(states, len(rows))
+        self._solved.append(np.asarray(states.metrics["success"])[: len(rows)])
+        recordings = {
+            row: _recording(self._env, self._plan, states, history, row, i)
+            for i, row in enumerate(recorded.tolist())
+        }
+        return _Batch(rows, columns, count, recordings)
+
+    def _report(
+        self, states: base.EnvState, limit: Int[Array, " E"], is_over: Bool[np.ndarray, " E"]
+    ) -> None:
+        """Tells how far the batch is, and the success of the episodes that are over."""
+        decisions = np.asarray(states.inner.nav.decisions)[: len(is_over)]
+        spent = self._spent + int(np.where(is_over, limit, decisions).sum())
+        success = np.asarray(states.metrics["success"])[: len(is_over)][is_over]
+        success = np.concatenate([*self._solved, success])
+        self._progress.update(spent, {"success": success.mean()} if len(success) else None)
+
+
+def _streams(rows: Int[np.ndarray, "E 3"]) -> tuple[Key[Array, " E"], Key[Array, " E"]]:
+    """Returns each episode's keys for its environment and for its high level."""
+
+    def stream(row: Int[Array, "3"]) -> Key[Array, "2"]:
+        seed, maze, episode = row
+        key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), maze), episode)
+        return jax.random.split(key)
+
+    keys = jax.vmap(stream)(jnp.asarray(rows, jnp.uint32))
+    return keys[:, 0], keys[:, 1]
+
+
+def _bins(env: Traced) -> tuple[int, int, int]:
+    """Returns the number of mazes and of the bins along and across them."""
+    num_mazes, rows, columns = env.course.mazes.wall.shape
+    return num_mazes, rows * heatmap.BINS_PER_CELL, columns * heatmap.BINS_PER_CELL
+
+
+def _count(
+    count: Int[np.ndarray, "M rows columns"],
+    trace: hierarchy.Trace,
+    rows: Int[np.ndarray, "E 3"],
+) -> None:
+    """Adds the positions of running episodes to the counts, in place."""
+    is_running = np.asarray(trace.is_running)[: len(rows)]
+    xy = np.asarray(trace.qpos[: len(rows), :, :2])[is_running]
+    maze = np.broadcast_to(rows[:, 1:2], is_running.shape)[is_running]
+    side = base.CELL / heatmap.BINS_PER_CELL
+    i, j = np.floor(-xy[:, 1] / side).astype(int), np.floor(xy[:, 0] / side).astype(int)
+    is_inside = (i >= 0) & (i < count.shape[1]) & (j >= 0) & (j < count.shape[2])
+    flat = np.ravel_multi_index((maze[is_inside], i[is_inside], j[is_inside]), count.shape)
+    count += np.bincount(flat, minlength=count.size).reshape(count.shape)
+
+
+def _columns(states: base.EnvState, num: int) -> dict[str, np.ndarray]:
+    """Reads the numbers of the first `num` episodes, which are over."""
+    never = np.zeros(num)
+    metrics = {name: np.asarray(value)[:num] for name, value in states.metrics.items()}
+    return {
+        "achieved": np.asarray(states.inner.nav.visited)[:num].sum(-1),
+        "returns": metrics["return"],
+        "decisions": np.asarray(states.inner.nav.decisions)[:num],
+        "has_fallen": metrics.get("fell", never) > 0.0,
+        "is_unstable": metrics.get("broke_down", never) > 0.0,
+    }
+
+
+def _recording(
+    env: Traced, plan: Plan, states: base.EnvState, history: list[Step], row: int, i: int
+) -> animation.Recording:
+    """Puts together the recording of one episode: `row` of the batch, `i` of those recorded."""
+    nav = jax.tree.map(lambda leaf: leaf[row], states.inner.nav)
+    name = list(plan.mazes)[int(nav.maze)]
+    rows, columns = plan.mazes[name].wall.shape
+    maze = task.drawn_maze(env.course, nav)
+    maze = maze.replace(
+        **{
+            field: getattr(maze, field)[:rows, :columns]
+            for field in ("wall", "goal", "start", "door")
+        }
+    )
+    num_decisions = int(nav.decisions)
+    steps = [jax.tree.map(lambda leaf: leaf[i], step) for step in history[:num_decisions]]
+    is_running = np.concatenate([step.trace.is_running for step in steps])
+    decision = np.repeat(np.arange(num_decisions), len(steps[0].trace.is_running))
+    return animation.Recording(
+        maze=maze,
+        qpos=np.concatenate([step.trace.qpos for step in steps])[is_running],
+        decision=decision[is_running],
+        direction=np.array([step.action for step in steps]),
+        patch=np.array([step.obs for step in steps]),
+        is_fallen=np.concatenate([step.trace.is_fallen for step in steps])[is_running],
+    )
+
+
+def _rollout(batches: list[_Batch], plan: Plan, maze: int) -> Rollout:
+    """Collects the episodes of one maze from all batches."""
+    rows = np.concatenate([batch.rows for batch in batches])
+    is_here = rows[:, 1] == maze
+    columns = {
+        name: np.concatenate([batch.columns[name] for batch in batches])[is_here]
+        for name in batches[0].columns
+    }
+    num_rows, num_columns = list(plan.mazes.values())[maze].wall.shape
+    count = sum(batch.count[maze] for batch in batches)
+    count = count[: num_rows * heatmap.BINS_PER_CELL, : num_columns * heatmap.BINS_PER_CELL]
+    side = base.CELL / heatmap.BINS_PER_CELL
+    return Rollout(
+        episodes=results.Episodes(**columns, seed=rows[is_here, 0]),
+        density=count / (is_here.sum() * side**2),
+        recordings=[
+            recording
+            for batch in batches
+            for row, recording in batch.recordings.items()
+            if batch.rows[row, 1] == maze
+        ],
+    )

@@ -1,0 +1,149 @@
+"""Puts together what is evaluated: policies from their folders, environments around them."""
+
+import dataclasses
+import pathlib
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from eihrl_jax import base, mazes, policies, raster
+from eihrl_jax.agents import hierarchy, peg_a2c
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import low as low_config
+from eihrl_jax.envs import locomotion, maze, oracle_maze
+from eihrl_jax.evaluation import rollouts
+from eihrl_jax.networks import droq, patch_actor_critic
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.robots import postures
+from eihrl_jax.robots import robot as robot_lib
+
+
+@dataclasses.dataclass(frozen=True)
+class HighLevel:
+    """A high level that is ready to choose.
+
+    Attributes:
+      label: what tables call it.
+      policy: from the patch and a key to a direction.
+      view: what it has to see.
+    """
+
+    label: str
+    policy: rollouts.HighPolicy
+    view: raster.View
+
+
+def load_high(name: str, *, greedy: bool = False) -> HighLevel:
+    """Loads a high level.
+
+    Args:
+      name: run folder, policy folder or shipped name; "random" for uniform directions.
+      greedy: take the most likely direction instead of a sample.
+
+    Raises:
+      base.UserError: there is none, or it is damaged.
+    """
+    if name == evaluate_config.RANDOM:
+        return HighLevel(name, _random_direction, raster.View())
+    path = policies.find(name, "high")
+    params, meta = policies.load(path, kind="high")
+    view = raster.View(**_entry(meta, "view", path))
+    sizes = _entry(meta, "network", path)
+    network = patch_actor_critic.PatchActorCritic(**sizes | {"hidden": tuple(sizes["hidden"])})
+    patch = jnp.zeros((view.pixels, view.pixels, 3), bool)
+    _check_shapes(params, jax.eval_shape(network.init, jax.random.key(0), patch), path)
+
+    def policy(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
+        return peg_a2c.act(network, params, obs, key, deterministic=greedy)
+
+    return HighLevel(name, policy, view)
+
+
+def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
+    """Loads a robot's low level; it acts deterministically.
+
+    Args:
+      name: run folder, policy folder or shipped name.
+      robot: whose it must be.
+
+    Raises:
+      base.UserError: there is none, it is damaged, or another robot's.
+    """
+    path = policies.find(name, "low")
+    params, meta = policies.load(path, kind="low", robot=robot.name)
+    options = low_config.LowInput(**_entry(meta, "low_input", path))
+    actor = droq.Actor(_entry(meta, "num_actions", path), tuple(_entry(meta, "hidden", path)))
+    features = jnp.zeros((1, _entry(meta, "num_features", path)))
+    _check_shapes(params, jax.eval_shape(actor.init, jax.random.key(0), features)["params"], path)
+
+    def policy(obs: locomotion.LowObs, key: Key[Array, ""]) -> Float[Array, " nu"]:
+        del key
+        mean, _ = actor.apply({"params": params}, locomotion.features(obs, robot, options))
+        return locomotion.ctrl_from_action(jnp.tanh(mean), obs.direction, robot, options)
+
+    return policy
+
+
+def oracle(
+    robot: robot_lib.Robot,
+    stacked: mazes.Maze,
+    view: raster.View,
+    *,
+    step: float,
+    sigma: float,
+) -> rollouts.TracedOracle:
+    """Returns oracle movement in several mazes.
+
+    Args:
+      robot: whose postures are shown and whose radius stops at walls.
+      stacked: mazes with a leading axis.
+      view: what the high level sees.
+      step: units per subgoal.
+      sigma: standard deviation of the offset, units.
+
+    Raises:
+      base.UserError: a number is out of its limits.
+    """
+    bank = postures.for_robot(robot)
+    movement = oracle_maze.Movement(step=step, sigma=sigma, body_radius=robot.body_radius)
+    env = oracle_maze.OracleMaze(
+        stacked, postures.footprints(robot, bank, view), view=view, movement=movement
+    )
+    return rollouts.TracedOracle(env, bank.qpos)
+
+
+def full(
+    engine: engine_lib.Engine,
+    stacked: mazes.Maze,
+    view: raster.View,
+    low_policy: hierarchy.LowPolicy,
+) -> hierarchy.Hierarchy:
+    """Returns a walking robot in several mazes, driven by its low level."""
+    return hierarchy.Hierarchy(maze.PhysicsMaze(engine, stacked, view=view), low_policy)
+
+
+def _random_direction(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
+    """Chooses any direction, whatever it sees."""
+    del obs
+    return jax.random.randint(key, (), 0, base.NUM_DIRECTIONS)
+
+
+def _entry(meta: dict[str, Any], name: str, path: pathlib.Path) -> Any:
+    """Returns an entry of a policy's meta.json."""
+    if name not in meta:
+        raise base.UserError(f"{path}: meta.json lacks {name!r}")
+    return meta[name]
+
+
+def _check_shapes(params: Any, expected: Any, path: pathlib.Path) -> None:
+    """Checks that parameters are those of the network that meta.json describes."""
+    found = {jax.tree_util.keystr(k): v.shape for k, v in jax.tree.leaves_with_path(params)}
+    wanted = {jax.tree_util.keystr(k): v.shape for k, v in jax.tree.leaves_with_path(expected)}
+    for name in sorted(found.keys() | wanted.keys()):
+        if found.get(name) != wanted.get(name):
+            raise base.UserError(
+                f"{path}: parameter {name} has shape {found.get(name)}, "
+                f"expected {wanted.get(name)} for the network of its meta.json"
+            )
