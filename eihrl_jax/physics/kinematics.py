@@ -130,9 +130,7 @@ def _cross_matrix(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Returns the matrix C with C @ u equal to the cross product of `vector` and u."""
     x, y, z = vector
     zero = jnp.zeros_like(x)
-    return jnp.stack(
-        [jnp.stack(row) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
-    )
+    return jnp.stack([jnp.stack(row) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))])
 
 
 def _times(matrix: Float[Array, "*any 3 3"], vector: np.ndarray) -> Float[Array, "*any 3"]:

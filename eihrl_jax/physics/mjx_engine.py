@@ -12,6 +12,9 @@ from eihrl_jax import base
 from eihrl_jax.physics import engine, scene
 from eihrl_jax.robots import robot as robot_lib
 
+_SMALLEST_TANGENT = 1e-6
+"""Capsules closer to vertical than this, in radians, keep MJX's contact frame."""
+
 
 class MjxEngine:
     """`engine.Engine` as a JAX program; contacts of every geom are computed in every step.
@@ -57,13 +60,48 @@ class MjxEngine:
         )
         with _lenient_promotion():
             data = jax.lax.fori_loop(
-                0, self.robot.num_substeps, lambda _, d: mjx.step(self._model, d), data
+                0, self.robot.num_substeps, lambda _, d: self._physics_step(d), data
             )
         stepped = engine.PhysicsState(
             qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart
         )
         is_moving = jnp.isfinite(ctrl).all()
         return jax.tree.map(lambda new, old: jnp.where(is_moving, new, old), stepped, state)
+
+    def _physics_step(self, data: mjx.Data) -> mjx.Data:
+        """Advances one physics step: `mjx.step`, with contact frames as the C engine has them."""
+        if self._model.impl != mjx.Impl.JAX:
+            return mjx.step(self._model, data)
+        data = mjx.fwd_position(self._model, data)
+        data = mjx.make_constraint(self._model, _align_with_capsules(self._model, data))
+        data = mjx.fwd_velocity(self._model, data)
+        data = mjx.fwd_actuation(self._model, data)
+        data = mjx.fwd_acceleration(self._model, data)
+        data = mjx.solve(self._model, data)
+        is_implicit = self._model.opt.integrator == mjx.IntegratorType.IMPLICITFAST
+        return (mjx.implicit if is_implicit else mjx.euler)(self._model, data)
+
+
+def _align_with_capsules(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """Turns the contact frames between floor and capsules along the capsules.
+
+    The pyramidal friction cone is stiffer along its edges, so that its orientation matters. MJX
+    orients it along the y axis for capsules that are steeper than 60 degrees, the C engine never.
+    """
+    contact = data._impl.contact
+    kinds = jnp.asarray(model.geom_type)[contact.geom]
+    is_capsule_on_floor = (kinds[:, 0] == int(mjx.GeomType.PLANE)) & (
+        kinds[:, 1] == int(mjx.GeomType.CAPSULE)
+    )
+    axis = data.geom_xmat[contact.geom[:, 1], :, 2]
+    normal = contact.frame[:, 0]
+    tangent = axis - (axis * normal).sum(1, keepdims=True) * normal
+    length = jnp.linalg.norm(tangent, axis=1, keepdims=True)
+    tangent = tangent / jnp.maximum(length, _SMALLEST_TANGENT)
+    aligned = jnp.stack([normal, tangent, jnp.cross(normal, tangent)], 1)
+    is_turned = is_capsule_on_floor & (length[:, 0] > _SMALLEST_TANGENT)
+    frame = jnp.where(is_turned[:, None, None], aligned, contact.frame)
+    return data.tree_replace({"_impl.contact.frame": frame})
 
 
 @contextlib.contextmanager

@@ -12,12 +12,12 @@ PARKED_XY = (-1000.0, 1000.0)
 """Where a wall box waits while no wall is near, units."""
 
 # Set in full: a robot's own default class must not leak into floor and walls.
+# The floor has a margin, walls have none because MJX ignores it between boxes and round geoms.
 _CONTACT = {
     "contype": 0,
     "conaffinity": 1,
     "condim": 3,
     "friction": [1.0, 0.5, 0.5],
-    "margin": 0.01,
     "solref": [0.02, 1.0],
     "solimp": [0.8, 0.8, 0.01, 0.5, 2.0],
     "density": 1000.0,
@@ -44,18 +44,31 @@ def build(robot: robot_lib.Robot) -> mujoco.MjModel:
     except (ValueError, OSError) as error:
         raise base.UserError(f"robot {robot.name!r}: {robot.mjcf}: {error}") from None
     spec.option.timestep = robot.physics_step
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    is_in_fluid = spec.option.density > 0 or spec.option.viscosity > 0
+    spec.option.integrator = (
+        mujoco.mjtIntegrator.mjINT_EULER  # MJX has no implicit drag
+        if is_in_fluid
+        else mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    )
     spec.option.iterations = 4
     spec.option.ls_iterations = 8
     # A NaN must reach the environment's guard instead of teleporting the robot to the origin.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     spec.worldbody.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0], **_CONTACT
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 1.0],
+        margin=0.01,
+        **_CONTACT,
     )
     half = base.CELL / 2
     for i in range(robot.num_walls):
         body = spec.worldbody.add_body(name=f"wall_{i}", mocap=True, pos=[*PARKED_XY, half])
         body.add_geom(
-            name=f"wall_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, size=[half, half, half], **_CONTACT
+            name=f"wall_{i}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[half, half, half],
+            margin=0.0,
+            **_CONTACT,
         )
     return spec.compile()
