@@ -19,6 +19,7 @@ LAYERS = (
     {"robots"},
     {"physics"},
     {"raster"},
+    {"postures"},
     {"envs", "networks", "replay", "theory"},
     {"agents", "baselines"},
     {"training", "policies"},

@@ -1,12 +1,11 @@
 """Where a robot's parts are: every geom as a capsule, for silhouettes and drawings.
 
-Forward kinematics unrolled over the robot's few bodies, in plain `jnp`: it compiles at once, runs in
-any batch, and takes geoms that MJX's collision functions don't know.
+Forward kinematics unrolled over the robot's few bodies, in plain `jnp`: it compiles in a second,
+runs in any batch, and takes geoms that MJX's collision functions don't know.
 """
 
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -138,6 +137,6 @@ def _times(matrix: Float[Array, "*any 3 3"], vector: np.ndarray) -> Float[Array,
     return jnp.einsum("...ij,...j->...i", matrix, _constant(vector))
 
 
-def _constant(value: np.ndarray) -> np.ndarray:
+def _constant(value: np.ndarray | float) -> np.ndarray:
     """Keeps the model's float64 numbers from widening the result."""
     return np.asarray(value, np.float32)
