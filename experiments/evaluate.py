@@ -14,7 +14,8 @@ def main(options: evaluate_config.EvaluateConfig) -> None:
     for table in tables.terminal(evaluation.cells):
         console.print()
         console.print(table)
-    console.print(f"\nwritten to {options.out}", markup=False)
+    console.print(tables.NOTE, style="dim")
+    console.print(f"written to {options.out}", markup=False)
 
 
 if __name__ == "__main__":

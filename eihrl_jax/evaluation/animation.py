@@ -23,8 +23,8 @@ DIRECTION_NAMES = ("east", "west", "north", "south")
 FRAME_MILLISECONDS = 60
 _LAST_FRAME_MILLISECONDS = 1800
 _MAX_FRAMES = 170
-_NUM_COLOURS = 96
-_MAZE_SIZE = (560, 512)
+_NUM_COLOURS = 160
+MAZE_SIZE = (560, 512)
 _PANEL_WIDTH = 208
 _MARGIN = 16
 _ARROW = np.array(
@@ -108,7 +108,7 @@ def render(
     reach: float,
 ) -> Iterator[np.ndarray]:
     """Yields the pictures of an episode, uint8 [height, width, 3]; see `save`."""
-    width, height = _MAZE_SIZE
+    width, height = MAZE_SIZE
     backdrop = picture.draw_maze(recording.maze, width=width, height=height)
     capsules = jax.jit(capsules)
     xy = recording.qpos[:, :2]
@@ -130,7 +130,7 @@ def render(
         geoms = capsules(jnp.asarray(recording.qpos[step], jnp.float32))
         picture.place_robot(canvas, backdrop, tuple(map(np.asarray, geoms)), reach=reach + 0.8)
         yield _with_panel(
-            picture.finish(canvas), recording, step, title, is_achieved=bool(visited[step].any())
+            picture.finish(canvas), recording, step, title, num_achieved=int(visited[step].sum())
         )
 
 
@@ -197,36 +197,31 @@ def _paint_goals(
 
 
 def _with_panel(
-    image: np.ndarray, recording: Recording, step: int, title: str, *, is_achieved: bool
+    image: np.ndarray, recording: Recording, step: int, title: str, *, num_achieved: int
 ) -> np.ndarray:
-    """Puts the panel beside a finished picture: title, decision, subgoal, patch, state."""
+    """Puts the panel beside a finished picture: numbers, subgoal, patch."""
     height, width = image.shape[:2]
     page = Image.new("RGB", (width + _PANEL_WIDTH, height), palette.PAPER)
     page.paste(Image.fromarray(image), (0, 0))
     pen = ImageDraw.Draw(page)
     left, top = width + 4, 40
     decision = int(recording.decision[step])
-    direction = int(recording.direction[decision])
+    direction = DIRECTION_NAMES[int(recording.direction[decision])]
+    limit, total = int(recording.maze.num_decisions), int(recording.maze.num_goals)
+    goal_colour = palette.GOAL_ACHIEVED if num_achieved == total else palette.INK
     pen.text((left, top), title, palette.INK, palette.font(18, is_bold=True))
-    limit = int(recording.maze.num_decisions)
-    pen.text((left, top + 34), "decision", palette.MUTED, palette.font(13))
-    pen.text(
-        (left, top + 52), f"{decision + 1} of {limit}", palette.INK, palette.font(20, is_bold=True)
-    )
-    pen.text((left, top + 92), "subgoal", palette.MUTED, palette.font(13))
-    pen.text(
-        (left, top + 110), DIRECTION_NAMES[direction], palette.ARROW, palette.font(20, is_bold=True)
-    )
-    pen.text((left, top + 154), "what the high level sees", palette.MUTED, palette.font(13))
+    for name, value, x, y, colour in (
+        ("decision", f"{decision + 1} of {limit}", 0, 40, palette.INK),
+        ("goals", f"{num_achieved} of {total}", 116, 40, goal_colour),
+        ("subgoal", direction, 0, 96, palette.ARROW),
+    ):
+        pen.text((left + x, top + y), name, palette.MUTED, palette.font(13))
+        pen.text((left + x, top + y + 18), value, colour, palette.font(18, is_bold=True))
+    if recording.is_fallen[step]:
+        pen.text((left + 116, top + 114), "fallen", palette.ROBOT, palette.font(18, is_bold=True))
+    pen.text((left, top + 152), "what the high level sees", palette.MUTED, palette.font(13))
     side = _PANEL_WIDTH - _MARGIN - 4
-    page.paste(_patch_picture(recording.patch[decision], side), (left, top + 174))
-    below = top + 174 + side + 18
-    if is_achieved:
-        pen.text(
-            (left, below), "goal achieved", palette.GOAL_ACHIEVED, palette.font(16, is_bold=True)
-        )
-    elif recording.is_fallen[step]:
-        pen.text((left, below), "fallen", palette.ROBOT, palette.font(16, is_bold=True))
+    page.paste(_patch_picture(recording.patch[decision], side), (left, top + 172))
     return np.asarray(page)
 
 

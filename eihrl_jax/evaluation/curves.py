@@ -17,7 +17,7 @@ _DPI = 160
 
 
 def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
-    """Reads two columns of a `metrics.csv`, leaving out rows in which either is empty.
+    """Reads two columns of a `metrics.csv`, leaving out rows in which either is empty or nan.
 
     Args:
       path: the file.
@@ -32,6 +32,7 @@ def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
             reader = csv.DictReader(file)
             rows = [(row[x], row[y]) for row in reader]
         points = np.array([pair for pair in rows if all(pair)], float).reshape(-1, 2)
+        points = points[np.isfinite(points).all(1)]
     except KeyError as error:
         raise base.UserError(f"{path} has no column {error}") from None
     except (OSError, ValueError) as error:

@@ -10,9 +10,10 @@ import matplotlib.cm
 import matplotlib.colorbar
 import matplotlib.colors
 import matplotlib.figure
+import matplotlib.lines
 import matplotlib.patches
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from matplotlib.backends import backend_agg
 
 from eihrl_jax import base
@@ -65,6 +66,7 @@ def save(path: pathlib.Path, visits: Visits) -> None:
         marginal.set_facecolor("none")
     bar = figure.colorbar(_mappable(norm), cax=figure.add_subplot(grid[1, 2]))
     _style_bar(bar)
+    _add_legend(figure)
     _save(figure, path)
 
 
@@ -72,7 +74,7 @@ def save_together(path: pathlib.Path, visits: Sequence[Visits], *, num_columns: 
     """Draws several mazes on one colour scale, as PNG."""
     num_columns = min(num_columns, len(visits))
     num_rows = -(-len(visits) // num_columns)
-    figure = _figure(3.3 * num_columns + 1.0, 3.5 * num_rows + 0.3)
+    figure = _figure(3.3 * num_columns + 1.0, 3.5 * num_rows + 0.7)
     grid = figure.add_gridspec(num_rows, num_columns + 1, width_ratios=[20] * num_columns + [1])
     norm = _norm(visits)
     for i, item in enumerate(visits):
@@ -82,6 +84,7 @@ def save_together(path: pathlib.Path, visits: Sequence[Visits], *, num_columns: 
         axes.tick_params(labelbottom=False, labelleft=False, length=0)
     bar = figure.colorbar(_mappable(norm), cax=figure.add_subplot(grid[:, -1]))
     _style_bar(bar)
+    _add_legend(figure)
     _save(figure, path)
 
 
@@ -95,6 +98,16 @@ def _figure(width: float, height: float) -> matplotlib.figure.Figure:
 def _save(figure: matplotlib.figure.Figure, path: pathlib.Path) -> None:
     """Writes a figure without any display."""
     backend_agg.FigureCanvasAgg(figure).print_png(str(path))
+
+
+def _add_legend(figure: matplotlib.figure.Figure) -> None:
+    """Explains the marks of goals and starts below a figure."""
+    line = matplotlib.lines.Line2D
+    marks = [
+        line([], [], ls="", marker="s", markersize=9, mfc="none", mec=palette.GOAL, label="goal"),
+        line([], [], ls="", marker="o", markersize=8, mfc="none", mec=palette.INK, label="start"),
+    ]
+    figure.legend(handles=marks, loc="outside lower left", ncols=2, frameon=False)
 
 
 def _norm(visits: Sequence[Visits]) -> matplotlib.colors.Normalize:
@@ -124,22 +137,15 @@ def _draw(axes: matplotlib.axes.Axes, visits: Visits, norm: matplotlib.colors.No
     axes.set_facecolor(matplotlib.colormaps[palette.HEAT](0.0))
     axes.imshow(heat, norm=norm, cmap=palette.HEAT, extent=extent, interpolation="nearest")
     door = np.asarray(maze.door)
-    for i0, j0, i1, j1 in picture.wall_rectangles(np.asarray(maze.wall) & ~door):
-        _rectangle(axes, (i0, j0, i1, j1), facecolor=palette.WALL, edgecolor=palette.WALL)
+    for cells in picture.wall_rectangles(np.asarray(maze.wall) & ~door):
+        _rectangle(axes, cells, facecolor=palette.WALL, edgecolor=palette.WALL)
     for i, j in np.argwhere(door):
-        _rectangle(
-            axes, (i, j, i + 1, j + 1), facecolor="none", edgecolor=palette.GOAL, linewidth=0.5
-        )
+        cell = np.array([i, j, i + 1, j + 1])
+        _rectangle(axes, cell, facecolor="none", edgecolor=palette.GOAL, linewidth=0.5)
     goal = np.asarray(maze.goal)
     for number in range(1, int(goal.max()) + 1):
-        for i0, j0, i1, j1 in picture.wall_rectangles(goal == number):
-            _rectangle(
-                axes,
-                (i0, j0, i1, j1),
-                facecolor="none",
-                edgecolor=palette.GOAL_ACHIEVED,
-                linewidth=2,
-            )
+        for cells in picture.wall_rectangles(goal == number):
+            _rectangle(axes, cells, facecolor="none", edgecolor=palette.GOAL, linewidth=2)
     starts = np.argwhere(np.asarray(maze.start))
     if len(starts) <= maze_lib.MAX_GOALS:  # a room that starts anywhere needs no marks
         x, y = (starts[:, 1] + 0.5) * base.CELL, -(starts[:, 0] + 0.5) * base.CELL
@@ -151,7 +157,7 @@ def _draw(axes: matplotlib.axes.Axes, visits: Visits, norm: matplotlib.colors.No
     axes.tick_params(colors=palette.INK)
 
 
-def _rectangle(axes: matplotlib.axes.Axes, cells: tuple[int, int, int, int], **style: Any) -> None:
+def _rectangle(axes: matplotlib.axes.Axes, cells: Int[np.ndarray, "4"], **style: Any) -> None:
     """Adds a rectangle of cells: first row and column, last row and column + 1."""
     i0, j0, i1, j1 = (base.CELL * n for n in cells)
     axes.add_patch(matplotlib.patches.Rectangle((j0, -i1), j1 - j0, i1 - i0, **style))

@@ -172,7 +172,10 @@ def load(path: pathlib.Path) -> Evaluation:
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
         raise base.UserError(f"{path} can't be read: {error}") from None
-    evaluation = config.from_json(Evaluation, text, source=str(path))
+    try:
+        evaluation = config.from_json(Evaluation, text)
+    except base.UserError as error:
+        raise base.UserError(f"{path} is no eval.json: {error}") from None
     if evaluation.format != FORMAT:
         raise base.UserError(f"{path}: eval.json has format {evaluation.format}, expected {FORMAT}")
     return evaluation

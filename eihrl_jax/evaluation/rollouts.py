@@ -208,8 +208,9 @@ class _Runner:
         """Compiles for batches of `size` episodes."""
         keys = jax.vmap(jax.random.key)(jnp.zeros(size, jnp.uint32))
         index = jnp.zeros(size, jnp.int32)
-        self._reset = jax.jit(jax.vmap(self._env.reset)).lower(keys, index).compile()
-        states = jax.eval_shape(self._reset, keys, index)
+        reset = jax.jit(jax.vmap(self._env.reset))
+        states = jax.eval_shape(reset, keys, index)
+        self._reset = reset.lower(keys, index).compile()
         self._decide = jax.jit(self._decide_all).lower(states, keys, jnp.int32(0)).compile()
 
     def _decide_all(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from eihrl_jax import base, mazes, policies, raster
+from eihrl_jax import base, mazes, policies, postures, raster
 from eihrl_jax.agents import hierarchy, peg_a2c
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import low as low_config
@@ -16,7 +16,6 @@ from eihrl_jax.envs import locomotion, maze, oracle_maze
 from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.robots import postures
 from eihrl_jax.robots import robot as robot_lib
 
 

@@ -4,8 +4,10 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+import rich.box
 import rich.table
 
+from eihrl_jax.config.evaluate import RANDOM
 from eihrl_jax.evaluation import results, statistics
 
 TABLE1_MAZES = {"random": "Maze-ori", "g1": "Maze-g1", "g2": "Maze-g2", "g3": "Maze-g3"}
@@ -19,6 +21,12 @@ PAPER_TABLE1 = {
 
 PAPER_NAMES = {"full": "Ours", "oracle": "Ours-Oracle"}
 """What the paper calls its method, by movement."""
+
+NOTE = (
+    "Success is achieved goals / total goals, ± the standard deviation over five blocks of "
+    "episodes, with Wilson's 95 % interval."
+)
+"""What the numbers of the tables are."""
 
 _MOVEMENT_NAMES = {"oracle": "oracle movement", "full": "walking"}
 
@@ -39,60 +47,65 @@ class Table:
 
 
 def percent(success: statistics.Success) -> str:
-    """Formats a success rate with its interval: "66.4 [62.1, 70.4]"."""
-    return f"{100 * success.rate:.1f} [{100 * success.low:.1f}, {100 * success.high:.1f}]"
+    """Formats a success rate in per cent with the deviation of its blocks: "66.4 ± 5.4"."""
+    rate = f"{100 * success.rate:.1f}"
+    return rate if success.block_std is None else f"{rate} ± {100 * success.block_std:.1f}"
 
 
-def _by_maze(cells: Sequence[results.Cell]) -> Table:
-    """Returns the general table: one row for each result."""
-    header = ["maze", "robot", "movement", "high level", "low level", "success % [95 %]"]
-    header += ["± blocks", "± seeds", "return", "decisions", "falls", "episodes"]
-    rows = []
-    for cell in cells:
-        system = cell.system
-        rates = cell.seed_rates
-        spread = _percent(statistics.over_runs(np.array(rates)).std if len(rates) > 1 else None)
-        rows.append(
+def interval(success: statistics.Success) -> str:
+    """Formats a success rate's interval in per cent: "[62.1, 70.4]"."""
+    return f"[{100 * success.low:.1f}, {100 * success.high:.1f}]"
+
+
+def _by_system(cells: Sequence[results.Cell]) -> list[Table]:
+    """Returns one general table for each system."""
+    header = ["maze", "success %", "95 %", "return", "decisions", "falls", "episodes"]
+    found = []
+    for system in dict.fromkeys(cell.system for cell in cells):
+        rows = [
             [
                 cell.maze,
-                system.robot,
-                system.movement,
-                system.high,
-                system.low or "-",
                 percent(cell.success),
-                _percent(cell.success.block_std),
-                spread,
+                interval(cell.success),
                 f"{cell.return_mean:.2f}",
                 f"{cell.decisions_mean:.1f} / {cell.num_decisions}",
                 str(cell.num_falls) if system.movement == "full" else "-",
                 str(cell.num_episodes),
             ]
-        )
-    return Table("Success by maze", header, rows)
+            for cell in cells
+            if cell.system == system
+        ]
+        found.append(Table(_title(system), header, rows))
+    return found
 
 
-def _percent(value: float | None) -> str:
-    """Formats a rate in per cent, a dash where there is none."""
-    return "-" if value is None else f"{100 * value:.1f}"
+def _title(system: results.System) -> str:
+    """Describes a system."""
+    moves = "oracle movement" if system.low is None else f"walking with low level {system.low}"
+    return f"{system.robot}, {moves}, high level {system.high}"
 
 
-def _table1(cells: Sequence[results.Cell]) -> Table:
-    """Returns Table 1: ours with interval, ours with block deviation, the paper's."""
-    cells = [cell for cell in cells if cell.maze in TABLE1_MAZES]
-    mazes = [name for name in TABLE1_MAZES if any(cell.maze == name for cell in cells)]
-    header = ["", *(TABLE1_MAZES[name] for name in mazes)]
-    rows = []
-    for system in dict.fromkeys(cell.system for cell in cells):
-        found = {cell.maze: cell.success for cell in cells if cell.system == system}
-        label = f"{system.high}, {_MOVEMENT_NAMES[system.movement]} ({system.robot})"
-        rows.append([label, *(percent(found[m]) if m in found else "-" for m in mazes)])
-        blocks = {m: f"± {_percent(s.block_std)}" for m, s in found.items()}
-        rows.append(["  ± over five blocks", *(blocks.get(m, "-") for m in mazes)])
-        if system.robot == "ant" and system.high != "random":
-            figures = PAPER_TABLE1[system.movement]
-            paper = [f"{figures[m][0]:.1f} ± {figures[m][1]:.1f}" for m in mazes]
-            rows.append([f"  paper, {PAPER_NAMES[system.movement]}", *paper])
-    return Table("Table 1: zero-shot success in %, 95 % interval", header, rows)
+def _table1(cells: Sequence[results.Cell]) -> list[Table]:
+    """Returns the paper's Table 1 for each high level, the paper's figures below ours."""
+    found = []
+    for high in dict.fromkeys(cell.system.high for cell in cells):
+        here = [c for c in cells if c.system.high == high and c.maze in TABLE1_MAZES]
+        mazes = [name for name in TABLE1_MAZES if any(cell.maze == name for cell in here)]
+        rows = []
+        for system in dict.fromkeys(cell.system for cell in here):
+            by_maze = {cell.maze: cell.success for cell in here if cell.system == system}
+            label = f"{system.robot}, {_MOVEMENT_NAMES[system.movement]}"
+            rows.append([label, *(percent(by_maze[m]) if m in by_maze else "-" for m in mazes)])
+            bounds = {m: interval(success) for m, success in by_maze.items()}
+            rows.append(["  95 % interval", *(bounds.get(m, "-") for m in mazes)])
+            if system.robot == "ant" and high != RANDOM:
+                figures = PAPER_TABLE1[system.movement]
+                paper = [f"{figures[m][0]:.1f} ± {figures[m][1]:.1f}" for m in mazes]
+                rows.append([f"  paper, {PAPER_NAMES[system.movement]}", *paper])
+        if rows:
+            header = ["success %", *(TABLE1_MAZES[name] for name in mazes)]
+            found.append(Table(f"Table 1, high level {high}", header, rows))
+    return found
 
 
 def over_runs(
@@ -108,7 +121,7 @@ def over_runs(
     """
     groups: dict[tuple[str, str, str], list[float]] = {}
     for cell in cells:
-        if cell.system.high != "random":
+        if cell.system.high != RANDOM:
             key = (cell.maze, cell.system.robot, cell.system.movement)
             groups.setdefault(key, []).append(cell.success.rate)
     return {
@@ -118,8 +131,8 @@ def over_runs(
     }
 
 
-def _over_runs(cells: Sequence[results.Cell]) -> Table:
-    """Returns the table of `over_runs`."""
+def _over_runs(cells: Sequence[results.Cell]) -> list[Table]:
+    """Returns the table of `over_runs`, if there is one."""
     rows = [
         [
             *key,
@@ -128,21 +141,22 @@ def _over_runs(cells: Sequence[results.Cell]) -> Table:
         ]
         for key, spread in over_runs(cells).items()
     ]
-    header = ["maze", "robot", "movement", "mean ± std over runs, %", "95 % of the mean"]
-    return Table("Success over training runs", header, rows)
+    header = ["maze", "robot", "movement", "mean ± std, %", "95 % of the mean"]
+    return [Table("Success over training runs", header, rows)] if rows else []
 
 
 def _tables(cells: Sequence[results.Cell]) -> list[Table]:
-    """Returns those tables for which there is something to show."""
-    tables = [_by_maze(cells), _table1(cells), _over_runs(cells)]
-    return [table for table in tables if table.rows]
+    """Returns all tables for which there is something to show."""
+    return [*_by_system(cells), *_table1(cells), *_over_runs(cells)]
 
 
 def terminal(cells: Sequence[results.Cell]) -> list[rich.table.Table]:
     """Returns the tables of an evaluation for a `rich` console."""
     tables = []
     for table in _tables(cells):
-        shown = rich.table.Table(title=table.title, title_justify="left", header_style="bold")
+        shown = rich.table.Table(
+            title=table.title, title_justify="left", header_style="bold", box=rich.box.SIMPLE
+        )
         for i, name in enumerate(table.header):
             shown.add_column(name, justify="left" if i == 0 else "right")
         for row in table.rows:
@@ -152,8 +166,8 @@ def terminal(cells: Sequence[results.Cell]) -> list[rich.table.Table]:
 
 
 def markdown(cells: Sequence[results.Cell]) -> str:
-    """Returns the tables of an evaluation as Markdown."""
-    parts = []
+    """Returns the tables of an evaluation as Markdown, with a word on the intervals."""
+    parts = [NOTE]
     for table in _tables(cells):
         rule = ["---"] * len(table.header)
         lines = [f"| {' | '.join(row)} |" for row in [table.header, rule, *table.rows]]

@@ -1,0 +1,200 @@
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eihrl_jax import base, mazes, raster, robots
+from eihrl_jax.agents import hierarchy
+from eihrl_jax.envs import maze as maze_env
+from eihrl_jax.envs import task
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import scene
+
+TEXT = """\
+#####
+#S.1#
+#.#.#
+#2..#
+#####
+"""
+EAST, WEST, NORTH, SOUTH = range(4)
+K = 5
+
+
+class Sled:
+    """Stands in for physics: the torso moves by a fifth of a cell times the first two controls."""
+
+    def __init__(self):
+        """Takes the ant's shape, with few control steps per subgoal."""
+        self.robot = dataclasses.replace(robots.load("ant"), steps_per_subgoal=K)
+        self.model = scene.build(self.robot)
+
+    def step(self, state, ctrl, walls_xy):
+        """Moves; the third control tips the robot over, the fourth breaks the simulation."""
+        del walls_xy
+        qpos = state.qpos.at[:2].add(base.CELL / K * ctrl[:2])
+        turned = jnp.array([0.0, 1.0, 0.0, 0.0])
+        qpos = qpos.at[3:7].set(jnp.where(ctrl[2] > 0.5, turned, qpos[3:7]))
+        qpos = qpos.at[7].set(jnp.where(ctrl[3] > 0.5, jnp.nan, qpos[7]))
+        is_moving = jnp.isfinite(ctrl).all()
+        return state.replace(qpos=jnp.where(is_moving, qpos, state.qpos))
+
+
+def drive(obs, key):
+    """Drives in the direction asked for."""
+    del key
+    return jnp.zeros(8).at[:2].set(jnp.array(base.DIRECTIONS_XY)[obs.direction])
+
+
+@pytest.fixture(scope="module")
+def maze():
+    return mazes.parse(TEXT, num_decisions=6)
+
+
+@pytest.fixture(scope="module")
+def env(maze):
+    return maze_env.PhysicsMaze(Sled(), maze, view=raster.View())
+
+
+@functools.cache
+def compiled(env, policy):
+    """Returns reset and step, compiled once for all tests."""
+    return jax.jit(env.reset), jax.jit(hierarchy.Hierarchy(env, policy).step)
+
+
+def steps(env, policy, directions, state=None):
+    """Returns the states after each of some decisions."""
+    reset, step = compiled(env, policy)
+    found = [reset(jax.random.key(0)) if state is None else state]
+    for direction in directions:
+        found.append(step(found[-1], jnp.int32(direction)))
+    return found
+
+
+def test_goals_pay_once_and_the_last_one_ends_the_episode(env):
+    found = steps(env, drive, [EAST, EAST, WEST, EAST, SOUTH, SOUTH])
+    assert [float(state.reward) for state in found] == [0, 0, 1, 0, 0, 0, 0]
+    assert not any(bool(state.terminated) for state in found)
+    assert [bool(state.truncated) for state in found] == [False] * 6 + [True]
+    assert float(found[-1].metrics["success"]) == 0.5
+    found = steps(env, drive, [EAST, EAST, SOUTH, SOUTH, WEST, WEST])
+    assert [float(state.metrics["return"]) for state in found] == [0, 0, 1, 1, 1, 1, 2]
+    assert bool(found[-1].terminated)
+    assert not bool(found[-1].truncated)
+
+
+def test_goal_is_seen_on_the_way(env):
+    def there_and_back(obs, key):
+        return drive(obs, key) * jnp.where(obs.time_left > 0.5, 1.0, -1.0)
+
+    state = steps(env, drive, [EAST])[-1]
+    before = state.inner.body.physics.qpos[0]
+    state = steps(env, there_and_back, [EAST], state)[-1]
+    assert float(state.reward) == 1.0
+    assert float(state.inner.body.physics.qpos[0] - before) == pytest.approx(base.CELL / K)
+
+
+def test_robot_rests_from_the_last_goal_on(env):
+    found = steps(env, drive, [EAST, EAST, SOUTH, SOUTH, WEST, WEST, WEST])
+    solved, after = (state.inner.body.physics.qpos for state in found[-2:])
+    np.testing.assert_array_equal(solved, after)
+    # It stopped at the goal's edge, within its subgoal.
+    assert float(solved[0]) > 2 * base.CELL - 2 * base.CELL / K
+
+
+def test_fall_is_counted_and_ends_nothing(env):
+    def stumble(obs, key):
+        falls = (obs.direction == NORTH) & (obs.time_left == 1.0)
+        return drive(obs, key).at[2].set(falls.astype(jnp.float32))
+
+    found = steps(env, stumble, [EAST, NORTH, SOUTH])
+    assert [float(state.metrics["fell"]) for state in found] == [0, 0, 1, 1]
+    assert not bool(found[-1].terminated)
+
+
+def test_broken_simulation_ends_the_episode_without_nan(env):
+    def breaking(obs, key):
+        return drive(obs, key).at[3].set(jnp.where(obs.time_left < 0.5, 1.0, 0.0))
+
+    for policy in (breaking, lambda obs, key: drive(obs, key) * jnp.nan):
+        start, state, later = steps(env, policy, [EAST, EAST])
+        assert bool(state.terminated)
+        assert not bool(state.truncated)
+        assert float(state.metrics["broke_down"]) == 1.0
+        assert float(start.metrics["broke_down"]) == 0.0
+        assert float(state.reward) == 0.0
+        for leaf in jax.tree.leaves((state.inner, state.obs)):
+            assert np.isfinite(leaf).all()
+        np.testing.assert_array_equal(state.inner.body.physics.qpos, later.inner.body.physics.qpos)
+
+
+def test_patch_shows_the_real_surroundings(env, maze):
+    state = steps(env, drive, [EAST])[-1]
+    xy = state.inner.body.physics.qpos[:2]
+    robot = state.obs[..., 2]
+    assert bool(robot[7, 7])
+    visited = jnp.zeros(9, bool)
+    expected = raster.patch(maze, xy, visited, robot, env.view)
+    np.testing.assert_array_equal(state.obs, expected)
+    assert bool(state.obs[..., 1].any())
+
+
+def test_reset_draws_anew_in_the_maze_asked_for(maze):
+    room = mazes.load("random")
+    env = maze_env.PhysicsMaze(Sled(), mazes.stack([maze, room]), view=raster.View())
+    keys = jax.random.split(jax.random.key(0), 16)
+    states = jax.jit(jax.vmap(env.reset))(keys, jnp.arange(16) % 2)
+    np.testing.assert_array_equal(states.inner.nav.maze, np.arange(16) % 2)
+    starts = np.asarray(states.inner.body.physics.qpos[1::2, :2])
+    assert len(np.unique(starts, axis=0)) == 8
+    assert len(np.unique(np.asarray(states.inner.nav.door_ij[1::2]), axis=0)) > 3
+    xy = states.inner.body.physics.qpos[:, :2]
+    codes = jax.jit(jax.vmap(task.code_at, (None, 0, 0)))(env.course, states.inner.nav, xy)
+    assert (codes == 0).all()
+
+
+@pytest.fixture(scope="module")
+def rolling():
+    """A point robot on the C engine, in a room that it is to leave through the east."""
+    text = "######\n#....#\n#S...1\n#....#\n######\n"
+    engine = engine_lib.make(robots.load("point"))
+    env = maze_env.PhysicsMaze(engine, mazes.parse(text, num_decisions=8), view=raster.View())
+
+    def push(obs, key):
+        del key
+        return jnp.zeros(engine.model.nu).at[:2].set(jnp.array(base.DIRECTIONS_XY)[obs.direction])
+
+    return hierarchy.Hierarchy(env, push)
+
+
+def test_point_robot_drives_to_the_door(rolling):
+    step = jax.jit(rolling.step)
+    state = jax.jit(rolling.reset)(jax.random.key(1))
+    while not bool(state.terminated | state.truncated):
+        state = step(state, jnp.int32(EAST))
+    assert bool(state.terminated)
+    assert float(state.metrics["success"]) == 1.0
+    assert 3 <= int(state.inner.nav.decisions) <= 6
+
+
+def test_walls_stop_it_and_batches_change_nothing(rolling):
+    keys = jax.random.split(jax.random.key(2), 4)
+    directions = jnp.array([WEST, NORTH, SOUTH, NORTH])
+    trace = jax.jit(rolling.trace)
+    states, traces = jax.jit(jax.vmap(rolling.reset))(keys), []
+    batched = jax.jit(jax.vmap(rolling.trace))
+    single = jax.tree.map(lambda leaf: leaf[1], states)
+    for _ in range(3):
+        states, walked = batched(states, directions)
+        single, alone = trace(single, directions[1])
+        np.testing.assert_array_equal(walked.qpos[1], alone.qpos)
+        traces.append(walked.qpos)
+    xy = np.concatenate(traces, 1)[..., :2]
+    half = base.CELL - 0.1
+    assert xy[..., 0].min() > half
+    assert xy[..., 1].max() < -half
+    assert xy[..., 1].min() > -4 * base.CELL - 0.1
+    assert xy[0, -1, 0] < 1.5 * base.CELL  # it did get there

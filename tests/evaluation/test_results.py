@@ -1,0 +1,105 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from eihrl_jax import base
+from eihrl_jax.evaluation import results, tables
+
+ANT = results.System(robot="ant", movement="full", high="runs/one", low="ant")
+
+
+def episodes(achieved, fallen, unstable, seed=None):
+    num = len(achieved)
+    return results.Episodes(
+        achieved=np.array(achieved),
+        returns=np.array(achieved, float),
+        decisions=np.arange(1, num + 1),
+        has_fallen=np.array(fallen, bool),
+        is_unstable=np.array(unstable, bool),
+        seed=np.zeros(num, int) if seed is None else np.array(seed),
+    )
+
+
+def cell(maze="g1", system=ANT, achieved=(1, 1, 1, 0, 0)):
+    none = [False] * len(achieved)
+    return results.summarise(
+        maze, system, episodes(achieved, none, none), num_goals=1, num_decisions=24
+    )
+
+
+def test_every_episode_has_one_outcome():
+    found = episodes([1, 1, 0, 0, 0], [1, 0, 1, 0, 0], [0, 0, 1, 1, 0])
+    assert found.outcomes(1) == ["solved", "solved", "fallen", "unstable", "late"]
+    summary = results.summarise("g1", ANT, found, num_goals=1, num_decisions=24)
+    assert summary.outcomes == results.Outcomes(solved=2, fallen=1, unstable=1, late=1)
+    assert summary.num_falls == 2
+    assert summary.decisions_mean == 3.0
+    assert summary.decisions_solved == 1.5
+
+
+def test_seeds_are_summarised_apart():
+    none = [False] * 4
+    found = episodes([2, 1, 0, 0], none, none, seed=[7, 7, 3, 3])
+    summary = results.summarise("s", ANT, found, num_goals=2, num_decisions=40)
+    assert summary.seeds == (7, 3)
+    assert summary.seed_rates == (0.75, 0.0)
+    assert summary.success.rate == 0.375
+
+
+def test_eval_json_round_trip(tmp_path):
+    path = tmp_path / "eval.json"
+    unsolved = cell(achieved=(0, 0))
+    assert unsolved.decisions_solved is None
+    evaluation = results.Evaluation(about={"by": "test"}, cells=(cell(), unsolved))
+    results.save(path, evaluation)
+    assert results.load(path) == evaluation
+    content = json.loads(path.read_text())
+    assert content["format"] == 1
+    assert content["cells"][0]["success"]["rate"] == 0.6
+
+
+@pytest.mark.parametrize("text", ["no json", "[]", '{"cells": 3}', '{"format": 2, "cells": []}'])
+def test_other_files_are_refused(tmp_path, text):
+    path = tmp_path / "eval.json"
+    path.write_text(text)
+    with pytest.raises(base.UserError, match=r"eval\.json"):
+        results.load(path)
+
+
+def test_table1_stands_beside_the_papers_figures():
+    oracle = dataclasses.replace(ANT, movement="oracle", low=None)
+    text = tables.markdown([cell("g1"), cell("g3", oracle), cell("mine")])
+    assert "| 60.0 |" in text
+    assert "[23.1, 88.2]" in text
+    assert "45.6 ± 5.2" in text
+    assert "84.8 ± 6.6" in text
+    assert "27.8" not in text  # g2 was not evaluated
+    assert text.count("mine") == 1
+    assert all(len(line) < 100 for line in text.splitlines()[2:])
+
+
+def test_random_high_level_has_no_figure_in_the_paper():
+    text = tables.markdown([cell("g1", dataclasses.replace(ANT, high="random"))])
+    assert "45.6" not in text
+
+
+def test_runs_trained_alike_are_summarised_together():
+    cells = [
+        cell("g2", dataclasses.replace(ANT, high=f"runs/{i}"), achieved)
+        for i, achieved in enumerate([(1, 1), (1, 0), (0, 0)])
+    ]
+    cells.append(cell("g2", dataclasses.replace(ANT, high="random"), (0, 0)))
+    spread = tables.over_runs(cells)["g2", "ant", "full"]
+    assert (spread.mean, spread.std) == (0.5, 0.5)
+    assert "50.0 ± 50.0" in tables.markdown(cells)
+
+
+def test_terminal_shows_the_same_tables():
+    shown = tables.terminal([cell("g1")])
+    assert [table.title for table in shown] == [
+        "ant, walking with low level ant, high level runs/one",
+        "Table 1, high level runs/one",
+    ]
+    assert shown[0].row_count == 1
