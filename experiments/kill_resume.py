@@ -28,7 +28,10 @@ SHORT = {
         "--updates-per-iteration 4 --droq.hidden 32 32 --log-every 50 --evaluate-every 200 "
         "--checkpoint-every 100 --num-iterations 2000"
     ),
-    "high": "--num-updates 400 --log-every 10 --evaluate-every 100 --checkpoint-every 20",
+    "high": (
+        "--learner.num-updates 2000 --learner.num-workers 16 --num-eval-episodes 16 "
+        "--log-every 10 --evaluate-every 100 --checkpoint-every 100"
+    ),
 }
 """Options of a run that takes seconds and checkpoints all the time."""
 

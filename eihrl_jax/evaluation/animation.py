@@ -27,16 +27,14 @@ _NUM_COLOURS = 160
 MAZE_SIZE = (560, 512)
 _PANEL_WIDTH = 208
 _MARGIN = 16
-_ARROW = np.array(
-    [
-        [0.75, 0.07],
-        [1.45, 0.07],
-        [1.45, 0.24],
-        [1.95, 0.0],
-        [1.45, -0.24],
-        [1.45, -0.07],
-        [0.75, -0.07],
-    ]
+_ARROW = (
+    (0.75, 0.07),
+    (1.45, 0.07),
+    (1.45, 0.24),
+    (1.95, 0.0),
+    (1.45, -0.24),
+    (1.45, -0.07),
+    (0.75, -0.07),
 )
 """Outline of the subgoal's arrow, pointing to x+ from the torso, units."""
 
@@ -164,7 +162,7 @@ def _draw_trail(
 def _arrow(backdrop: picture.Backdrop, xy: Float[np.ndarray, "2"], direction: int) -> Image.Image:
     """Returns the mask of the arrow of the current subgoal."""
     cos, sin = base.DIRECTIONS_XY[direction]
-    outline = xy + _ARROW @ np.array([[cos, sin], [-sin, cos]])
+    outline = xy + np.array(_ARROW) @ np.array([[cos, sin], [-sin, cos]])
     mask = Image.new("L", backdrop.distance.shape[::-1])
     ImageDraw.Draw(mask).polygon(_pixels(backdrop, outline), fill=255)
     return mask

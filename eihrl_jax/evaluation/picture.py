@@ -7,6 +7,7 @@ size and averaged at the end.
 import dataclasses
 import functools
 import itertools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -24,13 +25,13 @@ WALL_HEIGHT = 1.1
 RING = 1.5
 """Drawn thickness of the outer ring, units; the rest of it is cut off."""
 
-PITCH = np.deg2rad(62.0)
+PITCH = math.radians(62.0)
 """Angle of the optical axis below the horizon."""
 
 _FIELD = 3.2
 """Distance of the camera in widths of the maze: the larger, the weaker the perspective."""
 
-_LIGHT = np.array([-0.48, -0.28, 0.83], np.float32)
+_LIGHT = (-0.48, -0.28, 0.83)
 """Unit vector towards the light: from the left, a little from the front."""
 
 _AMBIENT = 0.60
@@ -172,7 +173,7 @@ def _draw_maze(
 
     up = (jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1.0))
     normal = tuple(jnp.where(is_floor, u, n) for u, n in zip(up, wall.normal, strict=True))
-    light = raycast.vector(jnp.asarray(_LIGHT))
+    light = raycast.vector(jnp.array(_LIGHT))
     is_dark = raycast.boxes(*raycast.to_light(point, normal, light), low, high).index >= 0
     lambert = jnp.maximum(raycast.dot(normal, light), 0.0)
     lambert = lambert * jnp.where(is_dark, 1.0 - 2.0 * _SHADOW, 1.0)
@@ -240,7 +241,7 @@ def draw_robot(
       Colour, distance (`raycast.FAR` beside the robot), and where its shadow falls on the floor.
     """
     direction = raycast.pixel_rays(camera, corner, height=size, width=size)
-    eye, light = raycast.vector(camera.position), raycast.vector(jnp.asarray(_LIGHT))
+    eye, light = raycast.vector(camera.position), raycast.vector(jnp.array(_LIGHT))
     hit = raycast.capsules(eye, direction, start, end, radius)
     point = raycast.along(eye, direction, hit.distance)
     is_dark = raycast.capsules(*raycast.to_light(point, hit.normal, light), start, end, radius)

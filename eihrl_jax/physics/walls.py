@@ -2,14 +2,12 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from eihrl_jax import base
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.physics import scene
 
-_RING = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
+_RING = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
 def nearby(
@@ -34,7 +32,7 @@ def nearby(
             [jnp.stack(pair) for pair in ((zero, x_sign), (-y_sign, zero), (-y_sign, x_sign))]
         )
     else:
-        offset_ij = jnp.asarray(_RING)
+        offset_ij = jnp.array(_RING)
     cell_xy = jax.vmap(maze_lib.cell_xy)(own_ij[None] + offset_ij)
     is_wall = jax.vmap(maze_lib.is_wall, in_axes=(None, 0))(maze, cell_xy)
     return jnp.where(is_wall[:, None], cell_xy, jnp.array([scene.PARKED_XY]))

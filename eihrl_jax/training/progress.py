@@ -43,7 +43,7 @@ class Progress:
         self._done = done
         self._metrics: dict[str, float] = {}
         self._history = [(time.monotonic(), done)]
-        self._last_line = time.monotonic()
+        self._last_line, self._shown = time.monotonic(), -1
         self._bar: rich.progress.Progress | None = None
         if self._console.is_terminal:
             columns = ("{task.description}", rich.progress.BarColumn(), "{task.fields[text]}")
@@ -60,7 +60,7 @@ class Progress:
         """Leaves the last state visible."""
         if self._bar is not None:
             self._bar.stop()
-        else:
+        elif self._shown != self._done:
             self._print_line()
 
     @contextlib.contextmanager
@@ -101,7 +101,7 @@ class Progress:
         return (last - first) / (end - start) if last > first and end > start else 0.0
 
     def _print_line(self) -> None:
-        self._last_line = time.monotonic()
+        self._last_line, self._shown = time.monotonic(), self._done
         percent = 100 * self._done / max(self._total, 1)
         self.print(f"{self._title}: {percent:.0f} % | {self._text()}")
 

@@ -30,7 +30,6 @@ def test_plain_lines_every_few_seconds(clock):
     assert lines == [
         "train: 5 % | 50/1,000 decisions | success 50.0 % | 10 decisions/s | 1 min 35 s left",
         "train: 10 % | 100/1,000 decisions | success 50.0 % | 10 decisions/s | 1 min 30 s left",
-        "train: 10 % | 100/1,000 decisions | success 50.0 % | 10 decisions/s | 1 min 30 s left",
     ]
 
 
