@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from eihrl_jax import base
+from eihrl_jax.config import checks
 from eihrl_jax.mazes import maze as maze_lib
 
 MIN_EXTENT, MAX_EXTENT = base.CELL, 15 * base.CELL
@@ -46,14 +47,8 @@ class View:
 
     def __post_init__(self) -> None:
         """Checks the limits."""
-        if not MIN_EXTENT <= self.extent <= MAX_EXTENT:
-            raise base.UserError(
-                f"view extent {self.extent} is not in [{MIN_EXTENT}, {MAX_EXTENT}] units"
-            )
-        if not MIN_PIXELS <= self.pixels <= MAX_PIXELS:
-            raise base.UserError(
-                f"view pixels {self.pixels} is not in [{MIN_PIXELS}, {MAX_PIXELS}]"
-            )
+        checks.in_range("view extent", self.extent, MIN_EXTENT, MAX_EXTENT)
+        checks.in_range("view pixels", self.pixels, MIN_PIXELS, MAX_PIXELS)
 
     @property
     def pitch(self) -> float:

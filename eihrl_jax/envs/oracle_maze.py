@@ -19,17 +19,17 @@ import math
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base, raster
+from eihrl_jax.config import checks
 from eihrl_jax.envs import task
 from eihrl_jax.mazes import maze as maze_lib
 
 REWARDS = ("sparse", "dense")
 
-_ABOVE_MINUS_ONE = float(np.nextafter(np.float32(-1.0), np.float32(0.0)))
+_ABOVE_MINUS_ONE = -1.0 + 2.0**-24
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -53,18 +53,13 @@ class Movement:
 
     def __post_init__(self) -> None:
         """Checks the limits."""
-        for name, low, high in (
-            ("step", 0.0, 4 * base.CELL),
-            ("sigma", 0.0, base.CELL),
-            ("num_substeps", 1, 100),
-            ("body_radius", 0.0, base.CELL / 2),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise base.UserError(f"movement {name} {value} is not in [{low}, {high}]")
+        checks.in_range("movement step", self.step, 0.0, 4 * base.CELL)
+        checks.in_range("movement sigma", self.sigma, 0.0, base.CELL)
+        checks.in_range("movement num_substeps", self.num_substeps, 1, 100)
+        checks.in_range("movement body_radius", self.body_radius, 0.0, base.CELL / 2)
         # A normal float32 draw stays below six standard deviations.
         longest = (self.step + 6 * self.sigma) / self.num_substeps
-        if longest > base.CELL:
+        if longest >= base.CELL:
             raise base.UserError(
                 f"movement num_substeps {self.num_substeps} is too small: a part of a move could "
                 f"be {longest:.1f} units long and jump over a wall of {base.CELL}"
@@ -112,8 +107,7 @@ class OracleMaze:
           base.UserError: an unknown reward, silhouettes of another resolution, or a body that
             could begin an episode inside a wall.
         """
-        if reward not in REWARDS:
-            raise base.UserError(f"reward {reward!r} is not one of {', '.join(REWARDS)}")
+        checks.one_of("reward", reward, REWARDS)
         if silhouettes.ndim != 3 or silhouettes.shape[1:] != (view.pixels, view.pixels):
             raise base.UserError(
                 f"silhouettes of shape {silhouettes.shape} do not fit a view of "

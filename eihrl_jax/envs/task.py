@@ -18,8 +18,8 @@ from eihrl_jax import base, raster
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import paths
 
-NO_DOOR = -1
-"""Row and column of the open door in a maze without door candidates."""
+NO_DOOR = -1000
+"""Row and column of the open door in a maze without door candidates: farther than one can see."""
 
 
 class Course(struct.PyTreeNode):
@@ -201,7 +201,7 @@ def pick(uniform: Float[Array, ""], num: Int[Array, ""]) -> Int[Array, ""]:
 
 
 def _codes(
-    course: Course, nav: Navigation, i: Int[Array, "*k"], j: Int[Array, "*k"]
+    course: Course, nav: Navigation, i: Int[Array, "*#k"], j: Int[Array, "*#k"]
 ) -> UInt8[Array, "*k"]:
     """Returns the codes of cells, those outside the grid wall and the open door goal 1."""
     num_mazes, rows, columns = course.codes.shape

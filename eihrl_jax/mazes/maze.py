@@ -7,7 +7,7 @@ as they were because the origin is the outer top-left corner (see `base`).
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key, UInt8
+from jaxtyping import Array, Bool, Float, Int, Key, Num, UInt8
 
 from eihrl_jax import base
 
@@ -45,8 +45,8 @@ def cell_ij(xy: Float[Array, "2"]) -> Int[Array, "2"]:
     return column_row[::-1].astype(jnp.int32)
 
 
-def cell_xy(ij: Int[Array, "2"]) -> Float[Array, "2"]:
-    """Returns the centre, in units, of the cell at row and column `ij`."""
+def cell_xy(ij: Num[Array, "2"]) -> Float[Array, "2"]:
+    """Returns the centre, in units, of the cell at row and column `ij`, which may be fractions."""
     return (ij[::-1].astype(jnp.float32) + 0.5) * jnp.array([base.CELL, -base.CELL])
 
 
@@ -68,7 +68,7 @@ def codes(maze: Maze) -> UInt8[Array, "*m R C"]:
 
 
 def code_at(
-    codes: UInt8[Array, "R C"], i: Int[Array, "*k"], j: Int[Array, "*k"]
+    codes: UInt8[Array, "R C"], i: Int[Array, "*#k"], j: Int[Array, "*#k"]
 ) -> UInt8[Array, "*k"]:
     """Returns the codes of cells; those outside the grid are wall."""
     return codes.at[i, j].get(mode="fill", fill_value=WALL, wrap_negative_indices=False)
@@ -85,7 +85,7 @@ def draw_cell(mask: Bool[Array, "R C"], key: Key[Array, ""]) -> Int[Array, "2"]:
 def open_door(maze: Maze, ij: Int[Array, "2"]) -> Maze:
     """Opens the door candidate at row and column `ij` as goal 1 and walls up the others.
 
-    Where there is no candidate, such as at (-1, -1), none opens.
+    Where there is no candidate, such as outside the grid, none opens.
     """
     rows, columns = jnp.indices(maze.door.shape, sparse=True)
     is_open = maze.door & (rows == ij[0]) & (columns == ij[1])

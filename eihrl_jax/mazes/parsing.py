@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from eihrl_jax import base
+from eihrl_jax.config import checks
 from eihrl_jax.mazes import paths
 from eihrl_jax.mazes.maze import MAX_GOALS, Maze
 
@@ -42,10 +43,9 @@ def parse(
       base.UserError: the text is not a maze in which every start leads to every goal and door.
     """
     grid = _grid(text, name)
-    if not 0.0 <= start_jitter < base.CELL / 2:
-        raise base.UserError(f"{name}: start_jitter {start_jitter} is not in [0, {base.CELL / 2})")
-    if num_decisions is not None and num_decisions < 1:
-        raise base.UserError(f"{name}: num_decisions {num_decisions} is below 1")
+    checks.in_range(f"{name}: start_jitter", start_jitter, 0.0, below=base.CELL / 2)
+    if num_decisions is not None:
+        checks.in_range(f"{name}: num_decisions", num_decisions, 1)
     _check_cells(grid, name)
     is_door = grid == "D"
     goal = np.where(np.isin(grid, list(DIGITS)), grid, "0").astype(np.int32)
@@ -114,8 +114,7 @@ def _grid(text: str, name: str) -> np.ndarray:
                 f"{name}: row {i + 1} has {len(line)} columns, but row 1 has {len(lines[0])}"
             )
     for what, size in (("rows", len(lines)), ("columns", len(lines[0]))):
-        if not MIN_SIZE <= size <= MAX_SIZE:
-            raise base.UserError(f"{name}: {size} {what}, not in [{MIN_SIZE}, {MAX_SIZE}]")
+        checks.in_range(f"{name}: number of {what}", size, MIN_SIZE, MAX_SIZE)
     return np.array([list(line) for line in lines])
 
 
@@ -125,7 +124,7 @@ def _check_cells(grid: np.ndarray, name: str) -> None:
     inside[1:-1, 1:-1] = True
     for cell in paths.cells(~inside & np.isin(grid, [".", "S"])):
         raise base.UserError(
-            f"{name}: {grid[cell]!r} at {place(cell)} leaves the outer ring open; "
+            f"{name}: {str(grid[cell])!r} at {place(cell)} leaves the outer ring open; "
             "only # D and 1 to 9 may be there"
         )
     if not (grid == "S").any():

@@ -4,10 +4,10 @@ One move takes the robot to one of the four neighbouring cells, as one subgoal d
 Distances are counted in moves; -1 stands for a cell that can't be reached.
 """
 
-import collections
 from collections.abc import Iterable
 
 import numpy as np
+from jaxtyping import Bool, Int
 
 from eihrl_jax.mazes.maze import Maze
 
@@ -15,33 +15,35 @@ Cell = tuple[int, int]
 """Row and column of a cell, counted from 0."""
 
 
-def distances(free: np.ndarray, sources: Iterable[Cell]) -> np.ndarray:
+def distances(free: Bool[np.ndarray, "R C"], sources: Iterable[Cell]) -> Int[np.ndarray, "R C"]:
     """Counts the moves from the nearest of some cells to every cell.
 
     Args:
-      free: bool [R, C], cells that can be entered.
+      free: cells that can be entered.
       sources: cells to start from; they need not be free.
 
     Returns:
       int32 [R, C], number of moves; -1 where there is no way.
     """
-    rows, columns = free.shape
-    width = columns + 2
-    is_open = np.pad(free, 1).ravel().tolist()
+    is_open, width = _flat(free)
     moves = [-1] * len(is_open)
-    queue = collections.deque((i + 1) * width + j + 1 for i, j in sources)
-    for cell in queue:
-        moves[cell] = 0
-    while queue:
-        cell = queue.popleft()
-        for neighbour in (cell + 1, cell - 1, cell + width, cell - width):
-            if is_open[neighbour] and moves[neighbour] < 0:
-                moves[neighbour] = moves[cell] + 1
-                queue.append(neighbour)
-    return np.array(moves, np.int32).reshape(rows + 2, width)[1:-1, 1:-1]
+    _flood(is_open, width, [(i + 1) * width + j + 1 for i, j in sources], moves)
+    return _grid(moves, width)
 
 
-def cells(mask: np.ndarray) -> list[Cell]:
+def largest_part(free: Bool[np.ndarray, "R C"]) -> Bool[np.ndarray, "R C"]:
+    """Returns the largest set of free cells that hang together, the first of equal ones."""
+    is_open, width = _flat(free)
+    moves, largest = [-1] * len(is_open), []
+    for cell in np.flatnonzero(is_open).tolist():
+        if moves[cell] < 0:
+            largest = max(largest, _flood(is_open, width, [cell], moves), key=len)
+    is_in = np.zeros(len(is_open), bool)
+    is_in[largest] = True
+    return is_in.reshape(-1, width)[1:-1, 1:-1]
+
+
+def cells(mask: Bool[np.ndarray, "R C"]) -> list[Cell]:
     """Lists the true cells of a mask in reading order."""
     return [(int(i), int(j)) for i, j in np.argwhere(mask)]
 
@@ -60,14 +62,14 @@ def legs(maze: Maze, start: Cell | None = None, door: Cell | None = None) -> lis
     Returns:
       Number of moves per goal, in the order of the goals; -1 where there is no way.
     """
-    wall, goal = np.array(maze.wall | maze.door), np.array(maze.goal)
+    free, goal = _free(maze), np.array(maze.goal)
     if door is not None:
-        wall[door], goal[door] = False, 1
+        free[door], goal[door] = True, 1
     sources = cells(np.asarray(maze.start)) if start is None else [start]
     found = []
     for number in range(1, int(maze.num_goals) + 1):
         region = cells(goal == number)
-        reached = distances(~wall, sources)
+        reached = distances(free, sources)
         found.append(min((int(reached[cell]) for cell in region if reached[cell] >= 0), default=-1))
         sources = region
     return found
@@ -85,7 +87,7 @@ def longest_tour(maze: Maze) -> int:
     starts = np.argwhere(np.asarray(maze.start))
     centre = np.abs(starts - starts.mean(0)).sum(1).argmin()
     middle = (int(starts[centre, 0]), int(starts[centre, 1]))
-    reached = distances(~np.asarray(maze.wall | maze.door), [middle])
+    reached = distances(_free(maze), [middle])
     to_middle = int(reached[np.asarray(maze.start)].max())
     doors = cells(np.asarray(maze.door))
     if not doors:
@@ -94,9 +96,38 @@ def longest_tour(maze: Maze) -> int:
     return to_middle + sum(legs(maze, middle, farthest))
 
 
-def way_to_door(reached: np.ndarray, door: Cell) -> int:
+def way_to_door(reached: Int[np.ndarray, "R C"], door: Cell) -> int:
     """Returns the moves to a door, given those to all other cells; -1 where there is no way."""
     around = np.pad(reached, 1, constant_values=-1)
     i, j = door[0] + 1, door[1] + 1
     nearest = [int(n) for n in around[[i - 1, i + 1, i, i], [j, j, j - 1, j + 1]] if n >= 0]
     return min(nearest) + 1 if nearest else -1
+
+
+def _free(maze: Maze) -> Bool[np.ndarray, "R C"]:
+    """Returns the cells that can be entered while no door is open."""
+    return ~(np.asarray(maze.wall) | np.asarray(maze.door))
+
+
+def _flat(free: Bool[np.ndarray, "R C"]) -> tuple[list[bool], int]:
+    """Lists the cells in reading order with a closed margin of one; returns also their width."""
+    padded = np.pad(free, 1)
+    return padded.ravel().tolist(), padded.shape[1]
+
+
+def _grid(flat: list[int], width: int) -> Int[np.ndarray, "R C"]:
+    """Undoes `_flat`."""
+    return np.array(flat, np.int32).reshape(-1, width)[1:-1, 1:-1]
+
+
+def _flood(is_open: list[bool], width: int, sources: list[int], moves: list[int]) -> list[int]:
+    """Writes the moves from the sources to the cells around that have none yet; lists them all."""
+    reached = list(sources)
+    for cell in reached:
+        moves[cell] = 0
+    for cell in reached:  # grows while it is walked through
+        for neighbour in (cell + 1, cell - 1, cell + width, cell - width):
+            if is_open[neighbour] and moves[neighbour] < 0:
+                moves[neighbour] = moves[cell] + 1
+                reached.append(neighbour)
+    return reached

@@ -1,0 +1,99 @@
+"""Random rooms of any size with inner walls and several door candidates, always solvable.
+
+Straight pieces of wall are thrown into an empty room; what they cut off from its largest part is
+filled with wall, so that every start leads to every door.
+"""
+
+import numpy as np
+from jaxtyping import Bool
+
+from eihrl_jax.config import checks
+from eihrl_jax.mazes import parsing, paths
+from eihrl_jax.mazes.maze import Maze
+
+MAX_INSIDE = parsing.MAX_SIZE - 2
+"""Largest number of rows or columns inside the outer ring."""
+
+MAX_LENGTH = 6
+"""Longest inner wall in cells; walls are also at most half as long as the room."""
+
+MAX_WALL_SHARE = 0.4
+"""Largest share of inner wall: above it too little of a room hangs together."""
+
+
+def random_room(
+    seed: int, rows: int, columns: int, *, wall_share: float = 0.2, num_doors: int = 4
+) -> str:
+    """Draws the text of a random room; the same arguments give the same room.
+
+    Args:
+      seed: of the room, at least 0.
+      rows: number of rows inside the outer ring.
+      columns: number of columns inside the outer ring.
+      wall_share: share of the inside at which no further wall is thrown in, 0 to 0.4.
+      num_doors: number of door candidates; fewer if the ring has no place for them.
+
+    Returns:
+      A text for `parsing.parse`: every free cell is a start candidate.
+
+    Raises:
+      base.UserError: an argument out of its limits.
+    """
+    checks.in_range("seed", seed, 0)
+    checks.in_range("rows", rows, 1, MAX_INSIDE)
+    checks.in_range("columns", columns, 1, MAX_INSIDE)
+    checks.in_range("wall_share", wall_share, 0.0, MAX_WALL_SHARE)
+    checks.in_range("num_doors", num_doors, 1)
+    rng = np.random.default_rng(seed)
+    places: list[paths.Cell] = []
+    grid = np.full((rows + 2, columns + 2), "#")
+    while not places:
+        free = paths.largest_part(~_thrown_walls(rng, rows, columns, wall_share))
+        grid[1:-1, 1:-1] = np.where(free, "S", "#")
+        places = _door_places(grid == "S")
+    for index in rng.permutation(len(places))[:num_doors]:
+        grid[places[index]] = "D"
+    return "\n".join("".join(row) for row in grid) + "\n"
+
+
+def random_maze(
+    seed: int,
+    rows: int,
+    columns: int,
+    *,
+    wall_share: float = 0.2,
+    num_doors: int = 4,
+    num_decisions: int | None = None,
+) -> Maze:
+    """Draws a random room as a maze, see `random_room` and `parsing.parse`."""
+    text = random_room(seed, rows, columns, wall_share=wall_share, num_doors=num_doors)
+    return parsing.parse(text, name=f"room {seed}", num_decisions=num_decisions)
+
+
+def _thrown_walls(
+    rng: np.random.Generator, rows: int, columns: int, wall_share: float
+) -> Bool[np.ndarray, "rows columns"]:
+    """Throws in straight walls while their share stays within the limit."""
+    wall = np.zeros((rows, columns), bool)
+    while True:
+        is_row = rng.random() < 0.5
+        longest = min(MAX_LENGTH, max(1, (columns if is_row else rows) // 2))
+        length = rng.integers(1, longest + 1)
+        i, j = rng.integers(rows), rng.integers(columns)
+        longer = wall.copy()
+        if is_row:
+            longer[i, j : j + length] = True
+        else:
+            longer[i : i + length, j] = True
+        if longer.mean() > wall_share:
+            return wall
+        wall = longer
+
+
+def _door_places(free: Bool[np.ndarray, "R C"]) -> list[paths.Cell]:
+    """Lists the cells of the outer ring beside a free cell."""
+    beside = np.zeros_like(free)
+    beside[0], beside[-1] = free[1], free[-2]
+    beside[:, 0] |= free[:, 1]
+    beside[:, -1] |= free[:, -2]
+    return paths.cells(beside)

@@ -1,0 +1,162 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eihrl_jax import mazes, raster
+from eihrl_jax.envs import task
+from eihrl_jax.mazes import maze as maze_lib
+
+SEVEN = mazes.stack([mazes.load(name) for name in mazes.NAMES])
+
+
+def starts(course, num, seed=0):
+    keys = jax.random.split(jax.random.key(seed), num)
+    return jax.jit(jax.vmap(task.start, (None, 0)))(course, keys)
+
+
+def at(course, **fields):
+    nav = task.Navigation(
+        maze=jnp.int32(0),
+        door_ij=jnp.array([task.NO_DOOR] * 2),
+        visited=jnp.zeros(9, bool),
+        decisions=jnp.int32(0),
+    )
+    return nav.replace(**fields)
+
+
+def centre(i, j):
+    return maze_lib.cell_xy(jnp.array([i, j]))
+
+
+def test_an_episode_begins_on_a_free_start_cell_apart_from_goals():
+    course = task.prepare(SEVEN)
+    nav, xy = starts(course, 300)
+    for maze in range(7):
+        assert (nav.maze == maze).sum() > 20
+    codes = jax.vmap(task.code_at, (None, 0, 0))(course, nav, xy)
+    assert (codes == 0).all()
+    ij = jax.vmap(maze_lib.cell_ij)(xy)
+    assert SEVEN.start[nav.maze, ij[:, 0], ij[:, 1]].all()
+
+
+def test_the_maze_of_an_episode_can_be_given():
+    nav, _ = task.start(task.prepare(SEVEN), jax.random.key(0), jnp.int32(3))
+    assert nav.maze == 3
+
+
+def test_doors_and_starts_are_uniform():
+    nav, xy = starts(task.prepare(mazes.load("random")), 5600)
+    _, counts = np.unique(np.asarray(nav.door_ij), axis=0, return_counts=True)
+    assert len(counts) == 28
+    assert ((counts - 200) ** 2 / 200).sum() < 56  # chi-square of 27, exceeded once in a thousand
+    _, counts = np.unique(np.floor(np.asarray(xy) / 3), axis=0, return_counts=True)
+    assert len(counts) == 49
+    assert ((counts - 5600 / 49) ** 2 / (5600 / 49)).sum() < 85
+
+
+def test_a_maze_without_candidates_has_no_door():
+    nav, _ = starts(task.prepare(SEVEN), 100)
+    has_door = (nav.door_ij != task.NO_DOOR).all(-1)
+    assert (has_door == (nav.maze == 0)).all()
+
+
+def test_the_open_door_is_a_goal_and_the_others_are_wall():
+    course = task.prepare(mazes.load("random"))
+    nav = at(course, door_ij=jnp.array([3, 8]))
+    assert task.code_at(course, nav, centre(3, 8)) == 1
+    assert task.code_at(course, nav, centre(4, 8)) == maze_lib.WALL
+    assert task.code_at(course, nav, centre(3, 9)) == maze_lib.WALL
+    assert task.code_at(course, nav, jnp.array([1e6, -1e6])) == maze_lib.WALL
+    drawn = task.drawn_maze(course, nav)
+    assert (drawn.goal[3, 8], drawn.wall.sum()) == (1, 31)
+
+
+def test_codes_agree_with_the_drawn_maze():
+    course = task.prepare(SEVEN)
+    nav, _ = starts(course, 40)
+    rng = np.random.default_rng(0)
+    xy = jnp.asarray(rng.uniform(-5, 75, (40, 50, 2)) * [1, -1], jnp.float32)
+    codes = jax.vmap(task.code_at, (None, 0, 0))(course, nav, xy)
+    drawn = jax.vmap(task.drawn_maze, (None, 0))(course, nav)
+    of_points = jax.vmap(jax.vmap(maze_lib.is_wall, (None, 0)))(drawn, xy)
+    assert ((codes == maze_lib.WALL) == of_points).all()
+    goals = jax.vmap(jax.vmap(maze_lib.goal_at, (None, 0)))(drawn, xy)
+    assert (jnp.where(of_points, 0, codes.astype(jnp.int32)) == goals).all()
+
+
+def test_a_goal_pays_once_in_any_order_and_the_last_terminates():
+    course = task.prepare(mazes.load("s"))
+    nav = at(course)
+    third, first, second = centre(7, 15)[None], centre(6, 5)[None], centre(2, 10)[None]
+    rewards, ends = [], []
+    for path in (third, third, centre(1, 1)[None], jnp.concatenate([first, first]), second):
+        nav, outcome = task.advance(course, nav, path)
+        rewards.append(float(outcome.reward))
+        ends.append(bool(outcome.terminated))
+        assert not outcome.truncated
+    assert rewards == [1.0, 0.0, 0.0, 1.0, 1.0]
+    assert ends == [False] * 4 + [True]
+    assert (nav.decisions, task.success(course, nav)) == (5, 1.0)
+
+
+def test_goals_are_paid_along_the_way():
+    course = task.prepare(mazes.load("s"))
+    path = jnp.stack([centre(6, 4), centre(6, 5), centre(6, 6), centre(2, 10), centre(3, 11)])
+    nav, outcome = task.advance(course, at(course), path)
+    assert outcome.reward == 2.0
+    assert task.success(course, nav) == pytest.approx(2 / 3)
+
+
+def test_the_time_limit_truncates_unless_the_last_decision_succeeds():
+    course = task.prepare(mazes.load("g1"))
+    nav = at(course, decisions=jnp.int32(22))
+    nav, outcome = task.advance(course, nav, centre(1, 1)[None])
+    assert not (outcome.terminated | outcome.truncated)
+    _, outcome = task.advance(course, nav, centre(1, 1)[None])
+    assert (outcome.terminated, outcome.truncated) == (False, True)
+    _, outcome = task.advance(course, nav, centre(0, 5)[None])
+    assert (outcome.terminated, outcome.truncated) == (True, False)
+
+
+def test_dense_reward_is_that_of_the_lowest_unvisited_goal():
+    course = task.prepare(mazes.load("s"))
+    nav = at(course)
+    xy = centre(6, 1) + jnp.array([0.0, -1.5])  # level with goal 1's centre, 12 units away
+    assert task.dense_reward(course, nav, xy) == pytest.approx(1 / 13)
+    nav = nav.replace(visited=jnp.arange(9) == 0)
+    distance = np.hypot(9 * 3.0, 5.0 * 3.0)
+    assert task.dense_reward(course, nav, xy) == pytest.approx(1 / (1 + distance))
+    nav = nav.replace(visited=jnp.arange(9) != 1)
+    assert task.dense_reward(course, nav, xy) == pytest.approx(1 / (1 + distance))
+    assert task.dense_reward(course, nav.replace(visited=jnp.arange(9) < 3), xy) == 1.0
+
+
+def test_dense_reward_of_a_door_and_its_least_value_in_the_random_square():
+    course = task.prepare(mazes.load("random"))
+    nav = at(course, door_ij=jnp.array([0, 7]))
+    assert task.dense_reward(course, nav, centre(0, 7)) == 1.0
+    # Paper, App. D.2: about 0.03 at least.
+    assert task.dense_reward(course, nav, centre(7, 1)) == pytest.approx(0.035, abs=2e-3)
+
+
+def test_the_picture_is_that_of_the_drawn_maze():
+    course = task.prepare(SEVEN)
+    view = raster.View()
+    nav, xy = starts(course, 30)
+    silhouette = jnp.asarray(np.random.default_rng(0).random((15, 15)) < 0.1)
+
+    def both(nav, xy):
+        drawn = task.drawn_maze(course, nav)
+        expected = raster.patch(drawn, xy, nav.visited, silhouette, view)
+        return task.observe(course, nav, xy, raster.pack(silhouette, view), view), expected
+
+    seen, expected = jax.jit(jax.vmap(both))(nav, xy)
+    assert (seen == expected).all()
+
+
+def test_pick_stays_in_range():
+    for num in (1, 3, 4096):
+        last = task.pick(jnp.float32(np.nextafter(np.float32(1), np.float32(0))), jnp.int32(num))
+        assert last == num - 1
+        assert task.pick(jnp.float32(0.0), jnp.int32(num)) == 0

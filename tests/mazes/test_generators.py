@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+
+from eihrl_jax import base
+from eihrl_jax.mazes import generators, parsing, paths
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_every_door_can_be_reached_from_every_start(seed):
+    rows, columns = np.random.default_rng(seed).integers(1, 16, 2).tolist()
+    share = 0.4 * (seed % 5) / 4
+    maze = generators.random_maze(seed, rows, columns, wall_share=share)  # parsing checks the ways
+    assert maze.wall.shape == (rows + 2, columns + 2)
+    starts, doors = paths.cells(np.asarray(maze.start)), paths.cells(np.asarray(maze.door))
+    assert 1 <= len(doors) <= 4
+    assert not set(starts) & set(doors)
+    assert all(1 <= paths.legs(maze, starts[-1], door)[0] <= rows * columns for door in doors)
+
+
+def test_rooms_have_inner_walls_of_about_the_share_asked_for():
+    def share(wall_share: float) -> float:
+        rooms = [generators.random_room(s, 20, 20, wall_share=wall_share) for s in range(10)]
+        return np.mean([room.count("#") + room.count("D") - 84 for room in rooms]) / 400
+
+    assert share(0.0) == 0.0
+    assert 0.15 < share(0.2) < 0.25
+    assert share(0.1) < share(0.3)
+
+
+def test_the_seed_decides_the_room():
+    assert generators.random_room(1, 9, 9) == generators.random_room(1, 9, 9)
+    assert len({generators.random_room(seed, 9, 9) for seed in range(20)}) == 20
+
+
+def test_number_of_doors_and_size_limits():
+    assert generators.random_room(0, 7, 7, wall_share=0.0, num_doors=1000).count("D") == 28
+    assert generators.random_room(0, 7, 7, num_doors=1).count("D") == 1
+    largest = parsing.parse(generators.random_room(0, 254, 3))
+    assert largest.wall.shape == (256, 5)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("seed", -1), ("rows", 0), ("columns", 255), ("wall_share", 0.5), ("num_doors", 0)],
+)
+def test_arguments_out_of_range(option, value):
+    arguments = {"seed": 0, "rows": 5, "columns": 5} | {option: value}
+    with pytest.raises(base.UserError, match=f"{option} = {value}"):
+        generators.random_room(**arguments)
