@@ -6,7 +6,7 @@ chooses directions there chooses them here.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 from flax import struct
@@ -18,6 +18,7 @@ LowPolicy = Callable[[Any, Key[Array, ""]], Float[Array, " nu"]]
 """From the low level's observation and a key to controls in [-1, 1]."""
 
 
+@runtime_checkable
 class Walker(Protocol):
     """What is asked of an environment with a walking robot, see `envs.maze.PhysicsMaze`."""
 

@@ -8,13 +8,13 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 
 from eihrl_jax import base, mazes
 from eihrl_jax.agents import hierarchy
@@ -29,6 +29,7 @@ HighPolicy = Callable[[Any, Key[Array, ""]], Int[Array, ""]]
 """From the patch and a key to a direction."""
 
 
+@runtime_checkable
 class Traced(Protocol):
     """An environment of decisions that also tells the way, see `agents.hierarchy.Hierarchy`."""
 
@@ -268,7 +269,7 @@ class _Runner:
 def _streams(rows: Int[np.ndarray, "E 3"]) -> tuple[Key[Array, " E"], Key[Array, " E"]]:
     """Returns each episode's keys for its environment and for its high level."""
 
-    def stream(row: Int[Array, "3"]) -> Key[Array, "2"]:
+    def stream(row: UInt32[Array, "3"]) -> Key[Array, "2"]:
         seed, maze, episode = row
         key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), maze), episode)
         return jax.random.split(key)

@@ -1,0 +1,226 @@
+import csv
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+from eihrl_jax import base, mazes, policies, raster, robots
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.envs import locomotion
+from eihrl_jax.evaluation import evaluate, report, results, rollouts, systems
+from eihrl_jax.networks import droq, patch_actor_critic
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.training import progress
+
+OWN_MAZE = "#####\n#S.1#\n#...#\n#2..#\n#####\n"
+NETWORK = {"tile": 3, "tile_features": 2, "hidden": [4]}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a tiny random policy of each level and a maze."""
+    path = tmp_path_factory.mktemp("evaluate")
+    (path / "own.txt").write_text(OWN_MAZE)
+    network = patch_actor_critic.PatchActorCritic(tile=3, tile_features=2, hidden=(4,))
+    params = network.init(jax.random.key(0), jnp.zeros((9, 9, 3), bool))
+    view = {"extent": 9.0, "pixels": 9}
+    policies.save(
+        path / "high", kind="high", params=params, meta={"view": view, "network": NETWORK}
+    )
+    robot = robots.load("point")
+    engine = engine_lib.make(robot)
+    physics = locomotion.draw_pose(engine, jnp.zeros(2), jax.random.key(0))
+    obs = locomotion.observe(physics, jnp.zeros(2), jnp.int32(1), jnp.int32(0), robot)
+    num_features = len(locomotion.features(obs, robot, systems.low_config.LowInput()))
+    actor = droq.Actor(engine.model.nu, (4,))
+    params = actor.init(jax.random.key(1), jnp.zeros((1, num_features)))["params"]
+    meta = {
+        "robot": "point",
+        "low_input": {"frame": "world", "use_progress": False},
+        "hidden": [4],
+        "num_features": num_features,
+        "num_actions": engine.model.nu,
+    }
+    policies.save(path / "low", kind="low", params=params, meta=meta)
+    policies.save(path / "wrong", kind="low", params=params, meta=meta | {"hidden": [5]})
+    return path
+
+
+@pytest.fixture(scope="module")
+def options(folder):
+    return evaluate_config.EvaluateConfig(
+        mazes=("random", str(folder / "own.txt")),
+        robot=("point",),
+        high=(str(folder / "high"), "random"),
+        low=(str(folder / "low"),),
+        episodes=4,
+        seeds=(5, 6),
+        num_decisions=3,
+        out=folder / "out",
+    )
+
+
+@pytest.fixture(scope="module")
+def evaluation(options):
+    return evaluate.evaluate(options)
+
+
+def test_every_system_is_evaluated_in_every_maze(evaluation, folder):
+    found = [(cell.maze, cell.system.movement, cell.system.high) for cell in evaluation.cells]
+    assert found == [
+        (maze, movement, high)
+        for movement in ("oracle", "full")
+        for high in (str(folder / "high"), "random")
+        for maze in ("random", "own")
+    ]
+    for cell in evaluation.cells:
+        assert cell.num_episodes == 8
+        assert cell.seeds == (5, 6)
+        assert cell.num_goals == (2 if cell.maze == "own" else 1)
+        assert cell.num_decisions == 3
+        assert cell.success.low <= cell.success.rate <= cell.success.high
+        assert cell.decisions_mean <= 3
+
+
+def test_files_tell_the_same(evaluation, options):
+    assert results.load(options.out / "eval.json") == evaluation
+    about = json.loads((options.out / "eval.json").read_text())["about"]
+    assert about["config"]["episodes"] == 4
+    with (options.out / "episodes.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 8 * 8
+    for cell in evaluation.cells:
+        mine = [
+            row
+            for row in rows
+            if (row["maze"], row["movement"], row["high"])
+            == (cell.maze, cell.system.movement, cell.system.high)
+        ]
+        achieved = np.array([int(row["achieved"]) for row in mine])
+        assert achieved.mean() / cell.num_goals == cell.success.rate
+        assert achieved.max() <= cell.num_goals
+        assert [float(row["return"]) for row in mine] == achieved.tolist()
+    assert "own" in (options.out / "tables.md").read_text()
+
+
+def test_pictures_are_written(evaluation, options):
+    del evaluation
+    names = sorted(path.name for path in options.out.glob("*.png"))
+    systems_ = [
+        f"point-{move}-{high}" for move in ("full", "oracle") for high in ("high", "random")
+    ]
+    expected = [f"{name}-heatmaps.png" for name in systems_]
+    expected += [f"{name}-{maze}-heatmap.png" for name in systems_ for maze in ("own", "random")]
+    assert names == sorted(expected)
+    (gif,) = options.out.glob("*.gif")
+    with Image.open(gif) as image:
+        assert image.n_frames > 10
+
+
+def test_nothing_is_overwritten(evaluation, options):
+    del evaluation
+    before = {path: path.stat().st_mtime_ns for path in options.out.iterdir()}
+    with pytest.raises(base.UserError, match="not empty"):
+        evaluate.evaluate(options)
+    assert {path: path.stat().st_mtime_ns for path in options.out.iterdir()} == before
+
+
+def random_walk(num_episodes, *, seeds=(0,), num_recorded=0):
+    """Returns the episodes of uniform directions in the Random Square, without noise."""
+    chosen = {"random": mazes.load("random")}
+    view = raster.View()
+    env = systems.oracle(
+        robots.load("point"), mazes.stack(list(chosen.values())), view, step=3.0, sigma=0.0
+    )
+    plan = rollouts.Plan(
+        mazes=chosen, seeds=seeds, num_episodes=num_episodes, num_recorded=num_recorded
+    )
+    high = systems.load_high("random")
+    with progress.Progress("walk", plan.num_decisions) as bar:
+        return rollouts.run(env, high.policy, plan, bar)[0]["random"]
+
+
+def test_random_walk_succeeds_as_often_as_on_the_grid():
+    # A uniform random walk from cell to cell finds the door within 24 moves 7.6 times in 100.
+    episodes = random_walk(1500).episodes
+    found = results.summarise(
+        "random",
+        results.System(robot="point", movement="oracle", high="random", low=None),
+        episodes,
+        num_goals=1,
+        num_decisions=24,
+    )
+    assert found.success.low < 0.076 < found.success.high
+
+
+def test_batches_change_nothing(monkeypatch):
+    together = random_walk(6, seeds=(0, 1), num_recorded=2)
+    monkeypatch.setattr(rollouts, "MAX_ROWS", 5)
+    apart = random_walk(6, seeds=(0, 1), num_recorded=2)
+    for field in dataclasses.fields(results.Episodes):
+        np.testing.assert_array_equal(
+            getattr(together.episodes, field.name), getattr(apart.episodes, field.name)
+        )
+    np.testing.assert_allclose(together.density, apart.density)
+    assert len(together.recordings) == len(apart.recordings) == 2
+    np.testing.assert_array_equal(together.recordings[1].qpos, apart.recordings[1].qpos)
+
+
+def test_only_running_episodes_leave_traces():
+    rollout = random_walk(40, num_recorded=40)
+    bin_area = (base.CELL / 6) ** 2
+    positions = rollout.density.sum() * bin_area * 40
+    assert positions == pytest.approx(rollout.episodes.decisions.sum() * 6)
+    for recording, decisions in zip(rollout.recordings, rollout.episodes.decisions, strict=True):
+        assert len(recording.direction) == len(recording.patch) == decisions
+        assert len(recording.qpos) == 6 * decisions
+    typical = report.typical(rollout)
+    solved = rollout.episodes.achieved == 1
+    if solved.any():
+        assert len(typical.direction) in rollout.episodes.decisions[solved]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"episodes": 0}, "episodes = 0"),
+        ({"seeds": (-1,)}, "seeds = -1"),
+        ({"seeds": (1, 1)}, "seeds names 1 more than once"),
+        ({"mazes": ()}, "mazes is empty"),
+        ({"num_decisions": 0}, "num_decisions = 0"),
+        ({"low": ("a", "b")}, "low names 2 policies for 1 robots"),
+    ],
+)
+def test_options_out_of_range_are_refused(change, message):
+    with pytest.raises(base.UserError, match=message):
+        evaluate_config.EvaluateConfig(**change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mazes": ("nowhere",)}, "nowhere"),
+        ({"robot": ("cat",), "low": ()}, "cat"),
+        ({"high": ("no/such/run",)}, "no/such/run"),
+        ({"low": ("no/such/run",)}, "no/such/run"),
+        ({"sigma": -1.0}, "sigma = -1.0"),
+    ],
+)
+def test_unknown_things_are_refused_before_anything_is_written(options, tmp_path, change, message):
+    changed = dataclasses.replace(options, out=tmp_path / "out", **change)
+    with pytest.raises(base.UserError, match=message):
+        evaluate.evaluate(changed)
+    assert not changed.out.exists()
+
+
+def test_policies_that_do_not_fit_are_refused(folder):
+    with pytest.raises(base.UserError, match="expected 'ant'"):
+        systems.load_low(str(folder / "low"), robots.load("ant"))
+    with pytest.raises(base.UserError, match=r"shape .* expected"):
+        systems.load_low(str(folder / "wrong"), robots.load("point"))
+    with pytest.raises(base.UserError, match="expected high-level"):
+        systems.load_high(str(folder / "low"))
