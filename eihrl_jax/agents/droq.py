@@ -19,8 +19,7 @@ from eihrl_jax.networks import droq as networks
 from eihrl_jax.ops import tanh_normal
 
 
-@struct.dataclass
-class DroqState:
+class DroqState(struct.PyTreeNode):
     """All that the learner learns with.
 
     Attributes:
@@ -135,11 +134,11 @@ class Droq:
         target = self._target(state, batch, target_key)
 
         def loss_fn(critic_params: Any) -> tuple[Float[Array, ""], Float[Array, ""]]:
-            values = self._values(critic_params, batch.obs, batch.action, online_key)
-            return jnp.square(values - target).mean(-1).sum(), values.mean()
+            values = self.values(critic_params, batch.obs, batch.action, online_key)
+            return jnp.square(values - target[None]).mean(-1).sum(), values.mean()
 
         (loss, value), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.critic_params)
-        updates, opt_state = self._optimizer.update(grads, state.critic_opt_state)
+        updates, opt_state = self._step(grads, state.critic_opt_state)
         critic_params = optax.apply_updates(state.critic_params, updates)
         state = state.replace(
             critic_params=critic_params,
@@ -160,16 +159,14 @@ class Droq:
 
         def loss_fn(actor_params: Any) -> tuple[Float[Array, ""], Float[Array, ""]]:
             action, log_prob = self._sample(actor_params, batch.obs, action_key)
-            values = self._values(state.critic_params, batch.obs, action, dropout_key)
+            values = self.values(state.critic_params, batch.obs, action, dropout_key)
             return (temperature * log_prob - values.mean(0)).mean(), -log_prob.mean()
 
         (loss, entropy), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.actor_params)
-        updates, actor_opt_state = self._optimizer.update(grads, state.actor_opt_state)
+        updates, actor_opt_state = self._step(grads, state.actor_opt_state)
         # d/d(log alpha) of log_alpha * (entropy - target_entropy), as in the authors' code.
         temperature_grad = entropy - self.options.target_entropy * self._num_actions
-        step, temperature_opt_state = self._optimizer.update(
-            temperature_grad, state.temperature_opt_state
-        )
+        step, temperature_opt_state = self._step(temperature_grad, state.temperature_opt_state)
         state = state.replace(
             actor_params=optax.apply_updates(state.actor_params, updates),
             actor_opt_state=actor_opt_state,
@@ -178,13 +175,18 @@ class Droq:
         )
         return state, {"actor_loss": loss, "entropy": entropy}
 
+    def _step(self, grads: Any, opt_state: optax.OptState) -> tuple[Any, optax.OptState]:
+        """Returns Adam's updates; Optax takes an integer power of a float, which strict mode bars."""
+        with jax.numpy_dtype_promotion("standard"):
+            return self._optimizer.update(grads, opt_state)
+
     def _target(
         self, state: DroqState, batch: base.Transition, key: Key[Array, ""]
     ) -> Float[Array, " B"]:
         """Returns r + discount * (min_i Q_i(s', a') - alpha log pi(a' | s')), fresh dropout."""
         action_key, dropout_key = jax.random.split(key)
         action, log_prob = self._sample(state.actor_params, batch.next_obs, action_key)
-        values = self._values(state.target_params, batch.next_obs, action, dropout_key)
+        values = self.values(state.target_params, batch.next_obs, action, dropout_key)
         soft_value = values.min(0) - jnp.exp(state.log_temperature) * log_prob
         return batch.reward + batch.discount * soft_value
 
@@ -194,14 +196,14 @@ class Droq:
         mean, log_std = self._actor.apply({"params": actor_params}, obs)
         return tanh_normal.sample(mean, log_std, key)
 
-    def _values(
+    def values(
         self,
         critic_params: Any,
         obs: Float[Array, "B F"],
         action: Float[Array, "B A"],
         key: Key[Array, ""],
     ) -> Float[Array, "M B"]:
-        """Returns every critic's values; unrolled, since batched products are slow on CPU."""
+        """Returns every critic's values, units dropped; unrolled, faster than batched on CPU."""
         keys = jax.random.split(key, len(critic_params))
         return jnp.stack(
             [

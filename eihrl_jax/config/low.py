@@ -113,7 +113,7 @@ class LowConfig:
       droq: hyper-parameters of the learner.
       log_every: iterations per row of metrics, and per compiled piece of training.
       evaluate_every: iterations between measurements of the subgoal statistics.
-      checkpoint_every: iterations between checkpoints.
+      checkpoint_every: iterations between checkpoints, a multiple of `evaluate_every`.
       num_postures: postures recorded at the end for the high level's pictures.
     """
 
@@ -155,4 +155,6 @@ class LowConfig:
         checks.in_range("log_every", self.log_every, 1)
         checks.divides("log_every", self.log_every, "num_iterations", self.num_iterations)
         checks.divides("log_every", self.log_every, "evaluate_every", self.evaluate_every)
-        checks.divides("log_every", self.log_every, "checkpoint_every", self.checkpoint_every)
+        checks.divides(
+            "evaluate_every", self.evaluate_every, "checkpoint_every", self.checkpoint_every
+        )

@@ -36,7 +36,5 @@ def quaternion_to_direction_frame(
     cos = jnp.array([1.0, 0.0, half, half])[direction]
     sin = -jnp.array([0.0, 1.0, half, -half])[direction]
     w, x, y, z = quat
-    turned = jnp.stack(
-        [cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w]
-    )
+    turned = jnp.stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
     return jnp.where(turned[0] < 0, -turned, turned)

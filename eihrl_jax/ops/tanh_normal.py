@@ -6,20 +6,20 @@ from jaxtyping import Array, Float, Key
 
 
 def sample(
-    mean: Float[Array, " A"], log_std: Float[Array, " A"], key: Key[Array, ""]
-) -> tuple[Float[Array, " A"], Float[Array, ""]]:
-    """Draws an action with its log-probability density.
+    mean: Float[Array, "*batch A"], log_std: Float[Array, "*batch A"], key: Key[Array, ""]
+) -> tuple[Float[Array, "*batch A"], Float[Array, "*batch"]]:
+    """Draws actions with their log-probability densities.
 
     log p(a) = sum_i [log N(u_i; mean_i, std_i) - log(1 - tanh(u_i)^2)], with the last term written
     as 2 (log 2 - u - softplus(-2u)), which does not cancel for large |u|.
 
     Args:
-      mean: float32 [A], mean before squashing.
-      log_std: float32 [A], log of the standard deviation before squashing.
+      mean: float32 [..., A], mean before squashing.
+      log_std: float32 [..., A], log of the standard deviation before squashing.
       key: consumed.
 
     Returns:
-      The action in (-1, 1) [A], and its log-density, a scalar.
+      The actions in (-1, 1) [..., A], and their log-densities [...].
 
     Source: Haarnoja et al. 2018, Soft Actor-Critic, Appendix C.
     """

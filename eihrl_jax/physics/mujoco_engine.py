@@ -42,7 +42,7 @@ class MujocoEngine:
         )
 
     def _step_rows(
-        self, state: engine.PhysicsState, ctrl: np.ndarray, walls_xy: np.ndarray
+        self, state: engine.PhysicsState, ctrl: Array, walls_xy: Array
     ) -> engine.PhysicsState:
         """Steps every row of arrays with any leading axes, on the host."""
         lead = state.qpos.shape[:-1]

@@ -9,12 +9,11 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
-from eihrl_jax import base, policies, replay, robots
+from eihrl_jax import base, policies, postures, replay, robots
 from eihrl_jax.agents import droq
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import locomotion, rooms, wrappers
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.robots import postures
 from eihrl_jax.training import progress as progress_lib
 from eihrl_jax.training import run_folder, subgoals, versions
 
@@ -229,7 +228,9 @@ def train(config: low_config.LowConfig) -> None:
       base.UserError: an option or the run folder is not as it should be.
     """
     trainer = LowTrainer(config)
-    with run_folder.RunFolder.create(config.run, config, resume=config.resume) as run:
+    with run_folder.RunFolder.create(
+        config.run, config, resume=config.resume, may_change={"num_iterations"}
+    ) as run:
         init_key, measure_key, posture_key = jax.random.split(jax.random.key(config.seed), 3)
         state = jax.jit(trainer.init)(init_key)
         restored = run.restore(state)
@@ -244,14 +245,19 @@ def train(config: low_config.LowConfig) -> None:
                 state = jax.jit(trainer.warm_up, donate_argnums=0)(state)
             else:
                 state = restored[1]
+
+            def evaluate() -> dict[str, Float[Array, ""]]:
+                key = jax.random.fold_in(measure_key, done)
+                return measure(state.learner.actor_params, key)
+
+            measured = evaluate()
             while done < config.num_iterations:
                 state, metrics = advance(state)
                 done += config.log_every
                 is_last = done >= config.num_iterations
                 if done % config.evaluate_every == 0 or is_last:
-                    key = jax.random.fold_in(measure_key, done)
-                    measured = measure(state.learner.actor_params, key)
-                    metrics |= {f"eval/{name}": value for name, value in measured.items()}
+                    measured = evaluate()
+                metrics |= {f"eval/{name}": value for name, value in measured.items()}
                 metrics = {name: float(value) for name, value in metrics.items()}
                 run.log(done, metrics)
                 progress.update(done * config.num_envs, _shown(metrics))

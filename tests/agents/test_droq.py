@@ -1,0 +1,122 @@
+"""DroQ on problems whose action values are known, and its book-keeping."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eihrl_jax import base
+from eihrl_jax.agents import droq
+from eihrl_jax.config import low as low_config
+
+OPTIONS = low_config.Droq(
+    hidden=(32, 32), learning_rate=3e-3, temperature=1e-3, target_rate=0.05, actor_period=2
+)
+
+
+def _learner(**changes):
+    return droq.Droq(2, 1, dataclasses.replace(OPTIONS, **changes))
+
+
+def _batch(key, reward, discount, size=64):
+    """Steps from random observations to random ones; `reward` maps (obs, action)."""
+    obs_key, action_key, next_key = jax.random.split(key, 3)
+    obs = jnp.sign(jax.random.normal(obs_key, (size, 2)))
+    action = jax.random.uniform(action_key, (size, 1), minval=-1.0, maxval=1.0)
+    return base.Transition(
+        obs=obs,
+        action=action,
+        reward=reward(obs, action),
+        discount=jnp.full(size, discount),
+        next_obs=jnp.sign(jax.random.normal(next_key, (size, 2))),
+    )
+
+
+def _train(learner, reward, discount, num_updates=400):
+    def body(state, key):
+        batch_key, update_key = jax.random.split(key)
+        return learner.update(state, _batch(batch_key, reward, discount), update_key)
+
+    keys = jax.random.split(jax.random.key(1), num_updates)
+    return jax.jit(lambda state: jax.lax.scan(body, state, keys))(learner.init(jax.random.key(0)))
+
+
+def _values(learner, state, obs, action):
+    return learner.values(state.critic_params, obs, action, jax.random.key(9))
+
+
+def test_terminal_reward_that_depends_on_the_observation():
+    learner = _learner()
+    state, _ = _train(learner, lambda obs, action: obs[:, 0], 0.0)
+    obs = jnp.array([[1.0, 1.0], [-1.0, 1.0]])
+    values = _values(learner, state, obs, jnp.zeros((2, 1)))
+    np.testing.assert_allclose(values, [[1.0, -1.0]] * 2, atol=0.15)
+
+
+@pytest.mark.parametrize("discount", [0.0, 0.8])
+def test_discount_alone_tells_a_time_limit_from_an_end(discount):
+    # Reward 1 for ever: Q = 1 where steps end the episode, 1 / (1 - discount) where they don't.
+    learner = _learner(target_entropy=-5.0)
+    state, _ = _train(learner, lambda obs, action: jnp.ones(len(obs)), discount, 800)
+    values = _values(learner, state, jnp.ones((1, 2)), jnp.zeros((1, 1)))
+    np.testing.assert_allclose(values, 1.0 / (1.0 - discount), rtol=0.15)
+
+
+def test_actor_finds_the_rewarded_action():
+    learner = _learner()
+    state, _ = _train(
+        learner, lambda obs, action: -jnp.square(action[:, 0] - 0.5 * obs[:, 1]), 0.0, 800
+    )
+    for sign in (1.0, -1.0):
+        obs = jnp.array([1.0, sign])
+        action = learner.act(state.actor_params, obs, jax.random.key(0), deterministic=True)
+        np.testing.assert_allclose(action, [0.5 * sign], atol=0.15)
+
+
+def test_temperature_moves_entropy_to_its_target():
+    learner = _learner(temperature=1.0, target_entropy=-1.0, learning_rate=1e-2)
+    _, metrics = _train(learner, lambda obs, action: -4.0 * jnp.square(action[:, 0]), 0.0, 1500)
+    assert float(jnp.nanmean(metrics["entropy"][-200:])) == pytest.approx(-1.0, abs=0.3)
+
+
+def test_actor_moves_every_period_and_targets_trail():
+    learner = _learner(actor_period=3)
+    state = learner.init(jax.random.key(0))
+    batch = _batch(jax.random.key(1), lambda obs, action: obs[:, 0], 0.9)
+    is_same = []
+    for i in range(3):
+        new, metrics = learner.update(state, batch, jax.random.key(i))
+        pairs = zip(
+            jax.tree.leaves(state.actor_params), jax.tree.leaves(new.actor_params), strict=True
+        )
+        is_same.append(all(bool((old == leaf).all()) for old, leaf in pairs))
+        assert bool(jnp.isnan(metrics["actor_loss"])) == is_same[-1]
+        old_target, online, target = (
+            jax.tree.leaves(tree)[1]
+            for tree in (state.target_params, new.critic_params, new.target_params)
+        )
+        np.testing.assert_allclose(target, 0.95 * old_target + 0.05 * online, atol=1e-6)
+        state = new
+    assert is_same == [True, True, False]
+
+
+def test_same_key_same_result_and_one_compilation():
+    learner = _learner()
+    state = learner.init(jax.random.key(0))
+    batch = _batch(jax.random.key(1), lambda obs, action: obs[:, 0], 0.9)
+    traces = []
+
+    @jax.jit
+    def update(state, batch, key):
+        traces.append(1)
+        return learner.update(state, batch, key)
+
+    first, _ = update(state, batch, jax.random.key(2))
+    again, _ = update(state, batch, jax.random.key(2))
+    update(first, batch, jax.random.key(3))
+    assert len(traces) == 1
+    for left, right in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(left, right)
+        assert np.isfinite(left).all()

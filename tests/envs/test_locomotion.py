@@ -1,0 +1,236 @@
+"""The low level's task: its reward, its symmetry, its subgoals and its guard."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eihrl_jax import base, robots
+from eihrl_jax.config import low as low_config
+from eihrl_jax.envs import locomotion, rooms, wrappers
+from eihrl_jax.ops import rotations
+from eihrl_jax.physics import engine as engine_lib
+
+ANT, POINT, SWIMMER = (robots.load(name) for name in ("ant", "point", "swimmer"))
+
+
+@pytest.fixture(scope="module")
+def ant_engine():
+    return engine_lib.make(ANT, "mujoco")
+
+
+@pytest.fixture(scope="module")
+def point_engine():
+    return engine_lib.make(POINT, "mujoco")
+
+
+def _env(engine, **options):
+    reward = low_config.LowReward(**options)
+    return locomotion.Locomotion(
+        engine, rooms.open_floor(), reward_options=reward, episode_steps=60
+    )
+
+
+def _random_obs(robot, num_proprioception, seed=0):
+    rng = np.random.default_rng(seed)
+    return locomotion.LowObs(
+        proprioception=jnp.float32(rng.normal(size=num_proprioception)),
+        displacement_xy=jnp.float32(rng.normal(size=2)),
+        time_left=jnp.float32(0.4),
+        direction=jnp.int32(0),
+    )
+
+
+@pytest.mark.parametrize("direction", range(4))
+def test_plain_reward_is_equation_1(direction):
+    rng = np.random.default_rng(direction)
+    for _ in range(5):
+        step, before = rng.normal(size=2), rng.normal(size=2)
+        goal = np.array(base.DIRECTIONS_XY[direction])
+        cosine = goal @ step / np.linalg.norm(step)
+        expected = 3.0 * cosine * np.linalg.norm(step)
+        found = locomotion.reward(
+            jnp.float32(before), jnp.float32(step), jnp.int32(direction), low_config.LowReward()
+        )
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_reward_is_zero_and_smooth_at_rest():
+    slope = jax.grad(locomotion.reward, argnums=1)(
+        jnp.zeros(2), jnp.zeros(2), jnp.int32(0), low_config.LowReward()
+    )
+    np.testing.assert_allclose(slope, [3.0, 0.0])
+
+
+def test_progress_beyond_a_cell_and_drift():
+    options = low_config.LowReward(scale=1.0, lateral_weight=0.5, stops_at_cell=True)
+
+    def pay(before, step):
+        return float(locomotion.reward(jnp.array(before), jnp.array(step), jnp.int32(2), options))
+
+    assert pay([0.0, 2.0], [0.0, 2.0]) == pytest.approx(1.0)  # one of the two units counts
+    assert pay([0.0, 4.0], [0.0, -0.5]) == pytest.approx(0.0)
+    assert pay([0.0, 0.0], [1.0, 0.0]) == pytest.approx(-0.5)
+    assert pay([1.0, 0.0], [-1.0, 0.0]) == pytest.approx(0.5)  # coming back pays the drift back
+
+
+@pytest.mark.parametrize("robot", [ANT, POINT, SWIMMER], ids=lambda robot: robot.name)
+@pytest.mark.parametrize("direction", range(4))
+def test_features_do_not_change_when_the_world_turns(robot, direction):
+    """A turned robot with a turned subgoal looks the same in the direction's frame."""
+    size = {"ant": 27, "point": 2, "swimmer": 8}[robot.name]
+    obs = _random_obs(robot, size)
+    options = low_config.LowInput(frame="direction", use_progress=True)
+    index = jnp.int32(direction)
+    proprioception = np.array(obs.proprioception)
+    if robot.root == "free":
+        proprioception[1:5] /= np.linalg.norm(proprioception[1:5])
+        obs = obs.replace(proprioception=jnp.float32(proprioception))
+        # The inverse of a turn by one direction is the turn by its mirror image.
+        inverse = jnp.int32((0, 1, 3, 2)[direction])
+        quat = rotations.quaternion_to_direction_frame(obs.proprioception[1:5], inverse)
+        proprioception[1:5] = quat
+    elif robot.root == "planar":
+        proprioception[0] += (0.0, np.pi, np.pi / 2, -np.pi / 2)[direction]
+    num_qvel = (size + 1) // 2 if robot.root == "free" else (size + 2) // 2
+    velocity = slice(size - num_qvel, size - num_qvel + 2)
+    proprioception[velocity] = rotations.to_world_frame(obs.proprioception[velocity], index)
+    turned = obs.replace(
+        proprioception=jnp.float32(proprioception),
+        displacement_xy=rotations.to_world_frame(obs.displacement_xy, index),
+        direction=index,
+    )
+    np.testing.assert_allclose(
+        locomotion.features(turned, robot, options),
+        locomotion.features(obs, robot, options),
+        atol=1e-5,
+    )
+
+
+def test_world_features_hold_the_two_hot_code():
+    obs = _random_obs(ANT, 27).replace(direction=jnp.int32(2))
+    found = locomotion.features(obs, ANT, low_config.LowInput())
+    assert found.shape == (27 + 8,)
+    np.testing.assert_array_equal(found[27:], [0, 0, 0, 0, 1, 1, 0, 0])
+
+
+@pytest.mark.parametrize("robot", [ANT, POINT], ids=lambda robot: robot.name)
+def test_controls_and_actions_undo_each_other(robot):
+    options = low_config.LowInput(frame="direction")
+    action = jnp.array([0.3, -0.9])
+    for direction in range(4):
+        index = jnp.int32(direction)
+        ctrl = locomotion.ctrl_from_action(action, index, robot, options)
+        back = locomotion.action_from_ctrl(ctrl, index, robot, options)
+        np.testing.assert_allclose(back, action, atol=1e-7)
+    is_turned = not np.allclose(ctrl, action)
+    assert is_turned == (robot.root == "slide")
+
+
+def _drive(env, direction_of, num_steps, key=0):
+    """Pushes the point along `direction_of(state)` and collects every state."""
+    states = [env.reset(jax.random.key(key))]
+    step = jax.jit(env.step)
+    for _ in range(num_steps):
+        direction = int(direction_of(states[-1]))
+        states.append(step(states[-1], jnp.array(base.DIRECTIONS_XY[direction])))
+    return states
+
+
+def test_point_collects_its_displacement_and_switches_every_k_steps(point_engine):
+    env = _env(point_engine)
+    states = _drive(env, lambda state: state.obs.direction, 50)
+    switched = [i for i, state in enumerate(states) if state.metrics["switched"] > 0]
+    assert switched == [25, 50]
+    total = sum(float(state.reward) for state in states[1:26])
+    along = float(states[25].metrics["along"])
+    assert total == pytest.approx(3.0 * along, rel=1e-4) and along > 3.0
+    np.testing.assert_allclose(states[25].obs.displacement_xy, 0.0, atol=1e-6)
+    assert float(states[25].obs.time_left) == 1.0
+    assert float(states[24].obs.time_left) == pytest.approx(1 / 25)
+
+
+def test_stored_step_relabelled_pays_as_if_the_other_direction_had_been_asked(point_engine):
+    env = _env(point_engine, lateral_weight=0.5, stops_at_cell=True)
+    options = low_config.LowReward(lateral_weight=0.5, stops_at_cell=True)
+    states = _drive(env, lambda state: 2, 25)
+    for before, after in zip(states[:-1], states[1:], strict=True):
+        ctrl = jnp.array(base.DIRECTIONS_XY[2])
+        stored = locomotion.experience(before, ctrl, after)
+        same = locomotion.relabel(stored, before.obs.direction)
+        seen = locomotion.transition(same, POINT, low_config.LowInput(), options, 0.9)
+        np.testing.assert_allclose(seen.reward, after.reward, atol=1e-4)
+        other = locomotion.relabel(stored, jnp.int32(2))
+        is_switch = bool(stored.is_switch)
+        expected = after.final_obs.direction if is_switch else 2
+        assert int(other.obs.direction) == 2 and int(other.next_obs.direction) == expected
+        assert float(seen.discount) == pytest.approx(0.9)
+    assert is_switch
+
+
+def test_a_turned_over_ant_has_fallen(ant_engine):
+    stand = jnp.float32(ant_engine.model.key_qpos[0])
+    assert not locomotion.is_fallen(stand, ANT)
+    assert locomotion.is_fallen(stand.at[2].set(0.1), ANT)
+    assert locomotion.is_fallen(stand.at[2].set(1.2), ANT)
+    assert locomotion.is_fallen(stand.at[3:7].set(jnp.array([0.0, 1.0, 0.0, 0.0])), ANT)
+
+
+def test_fall_terminates_and_starts_anew(ant_engine):
+    env = wrappers.AutoReset(_env(ant_engine))
+    state = env.reset(jax.random.key(0))
+    walk = state.inner
+    upside_down = walk.physics.qpos.at[3:7].set(jnp.array([0.0, 1.0, 0.0, 0.0]))
+    fallen = walk.replace(physics=walk.physics.replace(qpos=upside_down))
+    after = jax.jit(env.step)(state.replace(inner=fallen), jnp.zeros(8))
+    assert bool(after.terminated) and float(after.metrics["fell"]) == 1.0
+    assert int(after.inner.step) == 0 and float(after.inner.physics.qpos[2]) == 0.75
+    assert abs(float(after.final_obs.proprioception[2])) > 0.9
+
+
+def test_broken_simulation_ends_the_episode_and_poisons_nothing(ant_engine):
+    env = _env(ant_engine)
+    state = env.reset(jax.random.key(0))
+    walk = state.inner
+    broken = walk.replace(physics=walk.physics.replace(qvel=walk.physics.qvel.at[3].set(1e30)))
+    after = jax.jit(env.step)(state.replace(inner=broken), jnp.zeros(8))
+    assert bool(after.terminated) and float(after.metrics["broke_down"]) == 1.0
+    assert float(after.reward) == 0.0
+
+
+def test_time_limit_truncates_and_episodes_differ(point_engine):
+    env = wrappers.AutoReset(_env(point_engine))
+    states = _drive(env, lambda state: state.obs.direction, 60)
+    assert bool(states[-1].truncated) and not bool(states[-1].terminated)
+    first, second = states[0].inner, states[-1].inner
+    assert int(second.step) == 0
+    assert not np.allclose(first.physics.qpos, second.physics.qpos)
+
+
+def test_rooms_are_half_empty_and_start_where_it_is_free():
+    drawn = rooms.random_rooms(8, seed=3)
+    inner = np.asarray(drawn.wall)[:, 1:-1, 1:-1]
+    assert not inner[::2].any() and inner[1::2].any((1, 2)).all()
+    assert not (np.asarray(drawn.start) & np.asarray(drawn.wall)).any()
+
+
+def test_turning_the_world_turns_the_physics(ant_engine):
+    """An ant turned by a quarter ends up where the other one does, turned: relabelling is exact."""
+    env = _env(ant_engine)
+    state = env.reset(jax.random.key(5))
+    physics = state.inner.physics
+    inverse = jnp.int32(3)
+    qvel = physics.qvel.at[:2].set(rotations.to_world_frame(physics.qvel[:2], jnp.int32(2)))
+    quat = rotations.quaternion_to_direction_frame(physics.qpos[3:7], inverse)
+    turned = dataclasses.replace(physics, qpos=physics.qpos.at[3:7].set(quat), qvel=qvel)
+    walls_xy = jnp.full((3, 2), -1000.0)
+    ctrl = jnp.linspace(-1.0, 1.0, 8)
+    one, other = physics, turned
+    for _ in range(5):
+        one = ant_engine.step(one, ctrl, walls_xy)
+        other = ant_engine.step(other, ctrl, walls_xy)
+    moved = rotations.to_world_frame(one.qpos[:2] - physics.qpos[:2], jnp.int32(2))
+    np.testing.assert_allclose(other.qpos[:2] - turned.qpos[:2], moved, atol=2e-3)
+    np.testing.assert_allclose(other.qpos[7:], one.qpos[7:], atol=2e-3)

@@ -1,0 +1,90 @@
+"""The low level's trainer: it runs, resumes exactly, exports, and refuses what doesn't fit."""
+
+import dataclasses
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from eihrl_jax import base, policies, postures, presets, robots
+from eihrl_jax.config import low as low_config
+from eihrl_jax.training import checkpoint, low
+
+
+def _config(run, **changes):
+    options = {
+        "num_envs": 8,
+        "num_iterations": 12,
+        "warmup_iterations": 4,
+        "updates_per_iteration": 2,
+        "capacity": 256,
+        "num_rooms": 4,
+        "droq": low_config.Droq(hidden=(16, 16), actor_period=2, batch_size=16),
+        "log_every": 3,
+        "evaluate_every": 3,
+        "checkpoint_every": 6,
+        "num_postures": 32,
+    }
+    return dataclasses.replace(presets.low_point(), run=run, **(options | changes))
+
+
+@pytest.fixture(scope="module")
+def whole_run(tmp_path_factory):
+    config = _config(tmp_path_factory.mktemp("low") / "whole")
+    low.train(config)
+    return config
+
+
+def test_run_leaves_policy_statistics_and_postures(whole_run):
+    params, meta = policies.load(policies.find(whole_run.run, "low"), kind="low", robot="point")
+    assert params["Dense_0"]["kernel"].shape == (meta["num_features"], 16)
+    assert meta["num_iterations"] == 12 and meta["num_updates"] == 24
+    assert {"along_mean", "along_std", "lateral_std", "falls"} <= set(meta["statistics"])
+    bank = postures.load(whole_run.run / "postures.npz", robots.load("point"))
+    assert bank.qpos.shape == (32, 2) and not np.asarray(bank.qpos).any()
+    rows = (whole_run.run / "metrics.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows] == ["step", "3", "6", "9", "12"]
+    assert json.loads((whole_run.run / "config.json").read_text())["robot"] == "point"
+
+
+def test_resuming_changes_nothing(whole_run, tmp_path):
+    run = tmp_path / "halves"
+    low.train(_config(run, num_iterations=6))
+    low.train(_config(run, resume=True))
+    template = jax.eval_shape(low.LowTrainer(whole_run).init, jax.random.key(0))
+    states = [
+        checkpoint.restore(path / "checkpoints", template)[1] for path in (whole_run.run, run)
+    ]
+    for left, right in zip(*map(jax.tree.leaves, states), strict=True):
+        if jax.dtypes.issubdtype(left.dtype, jax.dtypes.prng_key):
+            left, right = jax.random.key_data(left), jax.random.key_data(right)
+        np.testing.assert_array_equal(left, right)
+    files = [(path / "metrics.csv").read_text() for path in (whole_run.run, run)]
+    assert files[0] == files[1]
+
+
+def test_other_options_are_refused_on_resume(whole_run):
+    other = dataclasses.replace(whole_run, resume=True, seed=1)
+    with pytest.raises(base.UserError, match="seed = 0 and can't go on with 1"):
+        low.train(other)
+
+
+@pytest.mark.parametrize("preset", presets.LOW.values(), ids=lambda preset: preset.preset)
+def test_presets_build(preset):
+    trainer = low.LowTrainer(dataclasses.replace(preset, num_rooms=min(preset.num_rooms, 2)))
+    assert trainer.num_features == {"best": 30, "paper": 35, "point": 5}[preset.preset]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"num_envs": 0}, "num_envs = 0 must be at least 1"),
+        ({"capacity": 100}, "num_envs = 8 must divide capacity = 100"),
+        ({"log_every": 5}, "log_every = 5 must divide num_iterations = 12"),
+        ({"robot": "dog"}, "robot 'dog' is unknown"),
+    ],
+)
+def test_bad_options_are_named(tmp_path, change, message):
+    with pytest.raises(base.UserError, match=message):
+        low.LowTrainer(_config(tmp_path / "run", **change))
