@@ -1,0 +1,210 @@
+"""Measurements of the physics engines for `experiments.benchmark`; ratios, never limits.
+
+Times that are compared are taken in turns, and the median of the ratios counts, so that whatever
+else the machine does meets both sides alike.
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from mujoco import batch as mujoco_batch
+
+from eihrl_jax import mazes, robots
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import scene, walls
+
+
+def interface_ratio(
+    num_envs: int = 1024, num_steps: int = 20, repeats: int = 7
+) -> dict[str, float]:
+    """Compares the batched C engine behind our interface with `mujoco.batch` alone.
+
+    Both step the same ants, with the same controls, from the same states, all walls parked: ours
+    inside `jit` and `scan`, the other in a Python loop that writes controls and steps.
+
+    Args:
+      num_envs: ants.
+      num_steps: control steps per measurement.
+      repeats: measurements of each side.
+
+    Returns:
+      `ours` and `alone`, control steps per second (medians), and `ratio`, the median of ours/alone.
+    """
+    engine = engine_lib.make(robots.load("ant"), "mujoco")
+    parked = jnp.broadcast_to(jnp.array(scene.PARKED_XY), (num_envs, engine.robot.num_walls, 2))
+    start = _standing(engine, jnp.zeros((num_envs, 2)))
+    ctrls = _random_ctrls(engine, num_steps, num_envs)
+    step = jax.vmap(engine.step)
+    roll = jax.jit(
+        lambda state, ctrls: jax.lax.scan(lambda s, u: (step(s, u, parked), None), state, ctrls)[0]
+    )
+    alone = mujoco_batch.Batch(engine.model, num_envs)
+    alone.bind("mocap_pos")[..., :2] = scene.PARKED_XY
+    first_qpos, host_ctrls = np.asarray(start.qpos, np.float64), np.asarray(ctrls, np.float64)
+
+    def run_alone() -> None:
+        alone.bind("qpos")[:] = first_qpos
+        for name in ("qvel", "qacc_warmstart"):
+            alone.bind(name)[:] = 0.0
+        for ctrl in host_ctrls:
+            alone.bind("ctrl")[:] = ctrl
+            alone.step(nstep=engine.robot.num_substeps)
+
+    ours, theirs = _in_turns(lambda: roll(start, ctrls), run_alone, repeats)
+    count = num_envs * num_steps
+    return {
+        "ours": count / statistics.median(ours),
+        "alone": count / statistics.median(theirs),
+        "ratio": statistics.median(b / a for a, b in zip(ours, theirs, strict=True)),
+    }
+
+
+def maze_cost_ratio(
+    engine_name: str, num_envs: int = 256, num_steps: int = 10, repeats: int = 9
+) -> dict[str, float]:
+    """Compares the cost of a control step in the Spiral with that in the Random Square.
+
+    Ants start where episodes start and push at random; finding the walls near them is included.
+
+    Args:
+      engine_name: "mujoco" or "mjx".
+      num_envs: ants in each maze.
+      num_steps: control steps per measurement.
+      repeats: measurements of each side.
+
+    Returns:
+      `spiral` and `random`, microseconds per control step of one ant (medians), and `ratio`, the
+      median of spiral/random.
+    """
+    engine = engine_lib.make(robots.load("ant"), engine_name)
+    ctrls = _random_ctrls(engine, num_steps, num_envs)
+    runs = []
+    for name in ("spiral", "random"):
+        maze = mazes.load(name)
+        keys = jax.random.split(jax.random.key(0), num_envs)
+        start = _standing(engine, jax.vmap(mazes.maze.draw_start, in_axes=(None, 0))(maze, keys))
+        roll = jax.jit(lambda state, maze=maze: _roll(engine, maze, state, ctrls)[0])
+        runs.append(lambda roll=roll, start=start: roll(start))
+    spiral, random = _in_turns(runs[0], runs[1], repeats)
+    unit = 1e6 / (num_envs * num_steps)
+    return {
+        "spiral": unit * statistics.median(spiral),
+        "random": unit * statistics.median(random),
+        "ratio": statistics.median(a / b for a, b in zip(spiral, random, strict=True)),
+    }
+
+
+def engine_deviations(num_envs: int = 16, num_steps: int = 50) -> list[dict[str, Any]]:
+    """Compares MJX with the C engine: the same ants, the same controls, with and without walls.
+
+    Comparisons: "one step", both engines make each control step from the states that the C engine
+    had reached; "free run", each goes on from its own states; "C against itself", free runs of the
+    C engine from starts that differ by a float32 rounding, which no float32 engine can undercut.
+
+    Args:
+      num_envs: ants in each surrounding, thrown into a corner where there are walls.
+      num_steps: control steps.
+
+    Returns:
+      One row for each surrounding and comparison: `walls`, `comparison`, and of the greatest
+      deviation of any position (units, radians) the `median`, 90th percentile `p90` and `max` over
+      ants and steps; `torso`, the median deviation of the torso's xy at the last step, units.
+    """
+    robot = robots.load("ant")
+    c_engine, mjx_engine = (engine_lib.make(robot, name) for name in engine_lib.ENGINES)
+    c_step, mjx_step = (jax.jit(jax.vmap(engine.step)) for engine in (c_engine, mjx_engine))
+    start = _standing(c_engine, jnp.zeros((num_envs, 2)))
+    noise = 0.05 * jax.random.normal(jax.random.key(2), start.qpos.shape)
+    start = start.replace(qpos=start.qpos + noise, qvel=start.qvel.at[:, :2].set(1.0))
+    nudged = start.replace(qpos=start.qpos * (1 + 2.0**-23))
+    ctrls = _random_ctrls(c_engine, num_steps, num_envs)
+    rows = []
+    for is_walled in (False, True):
+        # A corner of three boxes, whose faces are 0.8 units from the ants' centres.
+        boxes = [[2.3, -0.7], [-0.7, 2.3], [2.3, 2.3]] if is_walled else [scene.PARKED_XY] * 3
+        boxes = jnp.tile(jnp.array(boxes), (num_envs, 1, 1))
+        truth = _free_run(c_step, start, ctrls, boxes)
+        runs = {
+            "one step": [mjx_step(*x, boxes) for x in zip([start, *truth], ctrls, strict=False)],
+            "free run": _free_run(mjx_step, start, ctrls, boxes),
+            "C against itself": _free_run(c_step, nudged, ctrls, boxes),
+        }
+        rows += [
+            {"walls": is_walled, "comparison": name} | _deviation(run, truth)
+            for name, run in runs.items()
+        ]
+    return rows
+
+
+def _free_run(
+    step: Callable, state: engine_lib.PhysicsState, ctrls: jax.Array, boxes: jax.Array
+) -> list[engine_lib.PhysicsState]:
+    """Returns the states [N] after each of the controls [T, N, nu]."""
+    states = []
+    for ctrl in ctrls:
+        state = step(state, ctrl, boxes)
+        states.append(state)
+    return states
+
+
+def _deviation(
+    run: list[engine_lib.PhysicsState], truth: list[engine_lib.PhysicsState]
+) -> dict[str, float]:
+    """Summarises how far positions are apart, see `engine_deviations`."""
+    apart = np.abs(
+        [np.asarray(a.qpos) - np.asarray(b.qpos) for a, b in zip(run, truth, strict=True)]
+    )
+    greatest = apart.max(-1)
+    return {
+        "median": float(np.median(greatest)),
+        "p90": float(np.quantile(greatest, 0.9)),
+        "max": float(greatest.max()),
+        "torso": float(np.median(np.linalg.norm(apart[-1, :, :2], axis=-1))),
+    }
+
+
+def _roll(
+    engine: engine_lib.Engine, maze: mazes.Maze, state: engine_lib.PhysicsState, ctrls: jax.Array
+) -> tuple[engine_lib.PhysicsState, engine_lib.PhysicsState]:
+    """Steps ants [N] through controls [T, N, nu]; returns the last state and all of them."""
+
+    def step_one(state: engine_lib.PhysicsState, ctrl: jax.Array) -> engine_lib.PhysicsState:
+        return engine.step(state, ctrl, walls.nearby(maze, state.qpos[:2], engine.robot.num_walls))
+
+    def step(state: Any, ctrl: jax.Array) -> tuple[Any, Any]:
+        state = jax.vmap(step_one)(state, ctrl)
+        return state, state
+
+    return jax.lax.scan(step, state, ctrls)
+
+
+def _standing(engine: engine_lib.Engine, xy: jax.Array) -> engine_lib.PhysicsState:
+    """Returns robots at rest in the keyframe `stand` at positions [N, 2]."""
+    qpos = jnp.tile(jnp.asarray(engine.model.key_qpos[0], jnp.float32), (len(xy), 1))
+    qvel = jnp.zeros((len(xy), engine.model.nv))
+    return jax.vmap(engine_lib.reset)(qpos.at[:, :2].set(xy), qvel)
+
+
+def _random_ctrls(engine: engine_lib.Engine, num_steps: int, num_envs: int) -> jax.Array:
+    """Draws controls [T, N, nu], uniform in [-1, 1]."""
+    shape = (num_steps, num_envs, engine.model.nu)
+    return jax.random.uniform(jax.random.key(1), shape, minval=-1.0, maxval=1.0)
+
+
+def _in_turns(
+    first: Callable[[], Any], second: Callable[[], Any], repeats: int
+) -> tuple[list[float], list[float]]:
+    """Times two functions alternately, after one call of each that compiles; seconds."""
+    times: tuple[list[float], list[float]] = ([], [])
+    jax.block_until_ready((first(), second()))
+    for _ in range(repeats):
+        for function, taken in zip((first, second), times, strict=True):
+            begin = time.perf_counter()
+            jax.block_until_ready(function())
+            taken.append(time.perf_counter() - begin)
+    return times
