@@ -26,9 +26,7 @@ class PatchActorCritic(nn.Module):
     hidden: tuple[int, ...] = (128,)
 
     @nn.compact
-    def __call__(
-        self, patch: Bool[Array, "P P C"]
-    ) -> tuple[Float[Array, "4"], Float[Array, ""]]:
+    def __call__(self, patch: Bool[Array, "P P C"]) -> tuple[Float[Array, "4"], Float[Array, ""]]:
         """Returns the logits of the four subgoals and the value of the patch.
 
         Source: paper, Appendix C.1 and Figure 8; sizes are ours, the figure does not give any.

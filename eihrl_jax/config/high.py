@@ -1,0 +1,178 @@
+"""Options of the high level's training: task, network, learner, and the run around them.
+
+The paper names none of the learner's numbers; what stands here as default is the preset `paper`,
+whose sources are named option by option (see also `presets`).
+"""
+
+import dataclasses
+import pathlib
+from typing import Literal
+
+from eihrl_jax.config import checks
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Task:
+    """The maze, the oracle's movement in it, and what the high level sees.
+
+    Attributes:
+      maze: name of a maze or path of a maze file (paper, Sec. 4.4: the Random Square).
+      num_decisions: time limit in subgoals; None: the maze's own (paper, Table 3 divided by 25).
+      robot: whose postures are drawn and whose radius stops at walls.
+      reward: sparse pays 1 per goal region, dense 1 / (1 + distance) per decision (paper, D.2).
+      extent: side of the view in units; three cells show the next move and the walls beside it.
+      pixels: side of the view in pixels; 15 for 9 units is five per cell.
+      step: units that a subgoal moves the body (paper, Table 4).
+      sigma: standard deviation in units and per axis of the offset added to every move, the epsilon
+        of the paper's epsilon-Invariant Randomization (Sec. 3.2); a tenth of the step is ours.
+      num_substeps: pieces in which a move is made, each stopped by walls.
+      phantom_walls: probability that a wall that isn't there is painted into what the policy sees
+        while it learns; not in the paper.
+    """
+
+    maze: str = "random"
+    num_decisions: int | None = None
+    robot: str = "ant"
+    reward: Literal["sparse", "dense"] = "sparse"
+    extent: float = 9.0
+    pixels: int = 15
+    step: float = 3.0
+    sigma: float = 0.3
+    num_substeps: int = 6
+    phantom_walls: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Checks what can be checked without loading anything."""
+        checks.one_of("reward", self.reward, ("sparse", "dense"))
+        checks.in_range("extent", self.extent, above=0.0, high=100.0)
+        checks.in_range("pixels", self.pixels, 1, 256)
+        checks.in_range("step", self.step, above=0.0, high=30.0)
+        checks.in_range("sigma", self.sigma, 0.0, 3.0)
+        checks.in_range("num_substeps", self.num_substeps, 6, 100)
+        checks.in_range("phantom_walls", self.phantom_walls, 0.0, 1.0)
+        if self.num_decisions is not None:
+            checks.in_range("num_decisions", self.num_decisions, 1, 10_000)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Network:
+    """Sizes of the actor-critic (paper, Figure 8 gives none).
+
+    Attributes:
+      tile: side in pixels of the tiles that the first layer looks at; divides the view.
+      tile_features: outputs of the first layer per tile.
+      hidden: widths of the dense layers that follow.
+    """
+
+    tile: int = 5
+    tile_features: int = 16
+    hidden: tuple[int, ...] = (128,)
+
+    def __post_init__(self) -> None:
+        """Checks sizes."""
+        checks.in_range("tile", self.tile, 1, 256)
+        checks.in_range("tile_features", self.tile_features, 1, 1024)
+        for width in self.hidden:
+            checks.in_range("hidden", width, 1, 4096)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Learner:
+    """Numbers of PEG-A2C (paper, Algorithm 1).
+
+    Attributes:
+      num_workers: synchronous workers, n in the paper.
+      window: decisions per worker and update, after which values stand for the rest; None: whole
+        episodes and Monte-Carlo returns, as the paper has it.
+      num_updates: updates in all; schedules end there.
+      gamma: discount per decision (openai/baselines `a2c`).
+      lambda_: weight of the returns that follow over the values; 1 is Algorithm 1.
+      optimiser: as in openai/baselines `a2c`: RMSProp with decay 0.99 and epsilon 1e-5; or Adam.
+      learning_rate: at the start (openai/baselines `a2c`).
+      learning_rate_end: at the end, reached linearly (openai/baselines `a2c`: 0).
+      entropy: weight of the entropy bonus at the start (openai/baselines `a2c`).
+      entropy_end: at the end, reached linearly.
+      value_coef: weight of the value's squared error (openai/baselines `a2c`).
+      max_grad_norm: global norm to which gradients are clipped (openai/baselines `a2c`).
+    """
+
+    num_workers: int = 64
+    window: int | None = None
+    num_updates: int = 4000
+    gamma: float = 0.99
+    lambda_: float = 1.0
+    optimiser: Literal["rmsprop", "adam"] = "rmsprop"
+    learning_rate: float = 7e-4
+    learning_rate_end: float = 0.0
+    entropy: float = 0.01
+    entropy_end: float = 0.01
+    value_coef: float = 0.5
+    max_grad_norm: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        checks.in_range("num_workers", self.num_workers, 1, 2**20)
+        checks.in_range("num_updates", self.num_updates, 1, 2**31 - 1)
+        checks.in_range("gamma", self.gamma, 0.0, 1.0)
+        checks.in_range("lambda_", self.lambda_, 0.0, 1.0)
+        checks.one_of("optimiser", self.optimiser, ("rmsprop", "adam"))
+        checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
+        checks.in_range("learning_rate_end", self.learning_rate_end, 0.0, 1.0)
+        checks.in_range("entropy", self.entropy, 0.0, 10.0)
+        checks.in_range("entropy_end", self.entropy_end, 0.0, 10.0)
+        checks.in_range("value_coef", self.value_coef, 0.0, 100.0)
+        checks.in_range("max_grad_norm", self.max_grad_norm, above=0.0)
+        if self.window is not None:
+            checks.in_range("window", self.window, 1, 10_000)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class HighConfig:
+    """A training run of the high level.
+
+    Attributes:
+      preset: name of the preset that the defaults came from.
+      seed: of every random number of the run.
+      run: run folder, made by the run.
+      resume: continue the run that the folder holds.
+      task: the maze and the view.
+      network: sizes of the network.
+      learner: numbers of PEG-A2C.
+      log_every: updates per row of metrics, and per compiled piece of training.
+      evaluate_every: updates between evaluations; a multiple of `log_every`.
+      num_eval_episodes: episodes per evaluation, in the training maze, subgoals sampled.
+      checkpoint_every: updates between checkpoints; a multiple of `log_every`.
+      num_devices: devices of each process that share the workers; None: as many as can share
+        them evenly. On CPU a core is a device.
+      coordinator: host:port of process 0, for a run of several processes on one or more hosts;
+        "auto": found in the environment of the cluster.
+      num_processes: processes of the run.
+      process_id: number of this process, from 0.
+    """
+
+    preset: str = "paper"
+    seed: int = 0
+    run: pathlib.Path = pathlib.Path("runs/high")
+    resume: bool = False
+    task: Task = Task()
+    network: Network = Network()
+    learner: Learner = Learner()
+    log_every: int = 100
+    evaluate_every: int = 1000
+    num_eval_episodes: int = 500
+    checkpoint_every: int = 1000
+    num_devices: int | None = None
+    coordinator: str | None = None
+    num_processes: int | None = None
+    process_id: int | None = None
+
+    def __post_init__(self) -> None:
+        """Checks how the options fit together."""
+        checks.in_range("seed", self.seed, 0, 2**32 - 1)
+        checks.in_range("num_eval_episodes", self.num_eval_episodes, 1, 1_000_000)
+        checks.divides("tile", self.network.tile, "pixels", self.task.pixels)
+        checks.divides("log_every", self.log_every, "num_updates", self.learner.num_updates)
+        checks.divides("log_every", self.log_every, "evaluate_every", self.evaluate_every)
+        checks.divides("log_every", self.log_every, "checkpoint_every", self.checkpoint_every)
+        if self.num_devices is not None:
+            checks.in_range("num_devices", self.num_devices, 1, 1024)

@@ -1,0 +1,199 @@
+"""Training of the high level: PEG-A2C in a maze with oracle movement (paper, Sec. 3.2 and 4.1)."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from eihrl_jax import mazes, policies, postures, raster, robots
+from eihrl_jax.agents import peg_a2c
+from eihrl_jax.config import checks
+from eihrl_jax.config import high as high_config
+from eihrl_jax.envs import oracle_maze, phantoms, wrappers
+from eihrl_jax.networks import patch_actor_critic
+from eihrl_jax.training import parallel, run_folder, versions
+from eihrl_jax.training import progress as progress_lib
+
+MAY_CHANGE = ("coordinator", "num_processes", "process_id")
+"""Options that may differ between the processes of a run, and when it goes on."""
+
+EVALUATION_STREAM = 1
+"""Folded into the seed's key for evaluation, whose draws must not be those of training."""
+
+
+def train(config: high_config.HighConfig) -> None:
+    """Trains a high level in a run folder, or goes on with a run that was stopped.
+
+    The run folder ends up with the policy. In a run of several processes all must call this; the
+    first one writes.
+
+    Args:
+      config: the run's options.
+
+    Raises:
+      base.UserError: an option or the run folder is not as it should be.
+    """
+    parallel.connect(config.coordinator, config.num_processes, config.process_id)
+    env = make_env(config.task)
+    agent = make_agent(env, config)
+    mesh = parallel.make_mesh(config.num_devices, config.learner.num_workers)
+    with run_folder.RunFolder.create(
+        config.run, config, resume=config.resume, may_change=MAY_CHANGE
+    ) as run:
+        state = parallel.init(agent, config.seed, mesh)
+        restored = run.restore(state)
+        done, state = (0, state) if restored is None else restored
+        num_updates, per_update = config.learner.num_updates, decisions_per_update(agent)
+        title = f"{config.task.maze} high level"
+        with progress_lib.Progress(
+            title, num_updates * per_update, unit="decisions", done=done * per_update
+        ) as progress:
+            with progress.compiling("training"):
+                update = parallel.repeated_update(agent, config.log_every, mesh)
+                advance = update.lower(state).compile()
+            with progress.compiling("evaluation"):
+                evaluate = _compile_evaluation(env, config, state)
+            while done < num_updates:
+                state, metrics = advance(state)
+                done += config.log_every
+                is_last = done == num_updates
+                row = {"decisions": int(state.num_decisions)} | summarise(metrics)
+                if done % config.evaluate_every == 0 or is_last:
+                    row |= evaluate(state)
+                run.log(done, row)
+                progress.update(done * per_update, _shown(row))
+                if done % config.checkpoint_every == 0 or is_last:
+                    run.save(done, state)
+        _finish(config, run, state)
+
+
+def make_env(task: high_config.Task) -> oracle_maze.OracleMaze:
+    """Builds the maze with oracle movement; it doesn't reset itself.
+
+    Raises:
+      base.UserError: the maze or the robot is unknown, or numbers don't fit together.
+    """
+    robot = robots.load(task.robot)
+    view = raster.View(extent=task.extent, pixels=task.pixels)
+    movement = oracle_maze.Movement(
+        step=task.step,
+        sigma=task.sigma,
+        num_substeps=task.num_substeps,
+        body_radius=robot.body_radius,
+    )
+    return oracle_maze.OracleMaze(
+        mazes.load(task.maze, num_decisions=task.num_decisions),
+        postures.footprints(robot, postures.for_robot(robot), view),
+        view=view,
+        movement=movement,
+        reward=task.reward,
+    )
+
+
+def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> peg_a2c.PegA2C:
+    """Builds the learner of a maze.
+
+    Raises:
+      base.UserError: the window is longer than an episode.
+    """
+    limit = int(env.course.mazes.num_decisions.min())
+    window = config.learner.window
+    trained_in: base.Environment = env
+    if window is not None:
+        # A longer window could be cut by the time limit twice.
+        checks.in_range("window", window, 1, limit)
+        trained_in = wrappers.auto_reset(env)
+    if config.task.phantom_walls > 0.0:
+        trained_in = phantoms.PhantomWalls(
+            env=trained_in, view=env.view, probability=config.task.phantom_walls
+        )
+    return peg_a2c.PegA2C(trained_in, make_network(config), config.learner, window or limit)
+
+
+def make_network(config: high_config.HighConfig) -> patch_actor_critic.PatchActorCritic:
+    """Builds the network; its parameters are the learner's."""
+    return patch_actor_critic.PatchActorCritic(**dataclasses.asdict(config.network))
+
+
+def decisions_per_update(agent: peg_a2c.PegA2C) -> int:
+    """Returns the decisions of an update; with whole episodes the most that there can be."""
+    return agent.horizon * agent.learner.num_workers
+
+
+def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Turns the metrics of some updates, see `PegA2C.update`, into numbers.
+
+    Returns:
+      Means over the episodes that ended, NaN where none did, and means over the updates.
+    """
+    totals = {name: float(np.sum(values)) for name, values in metrics.items()}
+    episodes = totals.pop("episodes")
+    del totals["decisions"]
+    num_updates = np.size(metrics["episodes"])
+    return {
+        name.removeprefix("sum_"): _ratio(total, episodes if "sum_" in name else num_updates)
+        for name, total in sorted(totals.items(), reverse=True)
+    }
+
+
+def _ratio(total: float, count: float) -> float:
+    return total / count if count else math.nan
+
+
+def _compile_evaluation(
+    env: oracle_maze.OracleMaze, config: high_config.HighConfig, state: peg_a2c.LearnerState
+) -> Callable[[peg_a2c.LearnerState], dict[str, float]]:
+    """Compiles the evaluation: whole episodes in the training maze, subgoals sampled."""
+    whole = dataclasses.replace(config.learner, window=None)
+    limit = int(env.course.mazes.num_decisions.max())
+    agent = peg_a2c.PegA2C(env, make_network(config), whole, limit)
+    stream = jax.random.fold_in(jax.random.key(config.seed), EVALUATION_STREAM)
+
+    def measure(params, num_updates):
+        keys = jax.random.split(jax.random.fold_in(stream, num_updates), config.num_eval_episodes)
+        _, _, counts = jax.vmap(agent.collect_episode, (None, 0))(params, keys)
+        return jax.tree.map(jnp.sum, counts)
+
+    compiled = jax.jit(measure).lower(*_local((state.params, state.num_updates))).compile()
+
+    def evaluate(state):
+        counts = compiled(*_local((state.params, state.num_updates)))
+        return {f"eval/{name}": value for name, value in summarise(counts).items()}
+
+    return evaluate
+
+
+def _local(tree: Any) -> Any:
+    """Returns this process's first copy of arrays that are the same everywhere."""
+    return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
+
+
+def _shown(row: Mapping[str, float]) -> dict[str, float]:
+    """Picks what the progress bar shows."""
+    return {name: row[name] for name in ("success", "entropy") if name in row}
+
+
+def _finish(
+    config: high_config.HighConfig, run: run_folder.RunFolder, state: peg_a2c.LearnerState
+) -> None:
+    """Writes the policy of a run that has reached its end."""
+    policies.save(
+        run.path / policies.FOLDER,
+        kind="high",
+        params=state.params,
+        meta={
+            "maze": config.task.maze,
+            "robot": config.task.robot,
+            "view": {"extent": config.task.extent, "pixels": config.task.pixels},
+            "network": dataclasses.asdict(config.network),
+            "config": dataclasses.asdict(config),
+            "num_updates": int(state.num_updates),
+            "num_decisions": int(state.num_decisions),
+            "versions": versions.describe(),
+        },
+        overwrite=True,
+    )

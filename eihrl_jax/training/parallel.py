@@ -1,0 +1,129 @@
+"""Workers spread over devices and hosts: one mesh axis, `shard_map`, JAX's own distributed runtime.
+
+On CPU, XLA runs the many small operations of a rollout on one core; with as many CPU devices as
+cores (`use_cpu_cores`) every core runs its own share of the workers.
+"""
+
+import os
+
+import jax
+import numpy as np
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, Float
+
+from eihrl_jax import base
+from eihrl_jax.agents import peg_a2c
+
+
+SPECS = peg_a2c.LearnerState(
+    params=PartitionSpec(),
+    opt_state=PartitionSpec(),
+    env_state=PartitionSpec(peg_a2c.AXIS),
+    keys=PartitionSpec(peg_a2c.AXIS),
+    num_updates=PartitionSpec(),
+    num_decisions=PartitionSpec(),
+)
+"""Which parts of a learner's state are spread over devices: what belongs to one worker."""
+
+
+def use_cpu_cores() -> None:
+    """Makes every core of the CPU a device; only entry points call it, before any computation."""
+    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+
+
+def connect(
+    coordinator: str | None, num_processes: int | None = None, process_id: int | None = None
+) -> None:
+    """Joins the processes of one run, on one or several hosts; without coordinator there is one.
+
+    Args:
+      coordinator: address and port of process 0, "host:port"; "auto" finds everything in the
+        environment of the cluster (Slurm, Open MPI, Cloud TPU, Kubernetes).
+      num_processes: processes in all.
+      process_id: number of this one, from 0.
+
+    Raises:
+      UserError: only part of the options is given, or they contradict each other.
+    """
+    if coordinator is None:
+        if num_processes is not None or process_id is not None:
+            raise base.UserError(
+                "num_processes and process_id need a coordinator, such as host:1234"
+            )
+        return
+    if coordinator == "auto":
+        jax.distributed.initialize()
+        return
+    if num_processes is None or process_id is None:
+        raise base.UserError(f"coordinator = {coordinator!r} needs num_processes and process_id")
+    if not 0 <= process_id < num_processes:
+        raise base.UserError(
+            f"process_id = {process_id} must be in [0, {num_processes}), by num_processes"
+        )
+    jax.distributed.initialize(coordinator, num_processes, process_id)
+
+
+def make_mesh(num_devices: int | None, num_workers: int) -> jax.sharding.Mesh:
+    """Lays the devices of all processes along one axis over which workers are spread.
+
+    Args:
+      num_devices: devices to use of each process; None: as many as can share the workers evenly.
+      num_workers: workers of the run.
+
+    Raises:
+      UserError: there are fewer devices, or they can't share the workers evenly.
+    """
+    there, processes = jax.local_device_count(), jax.process_count()
+    if num_devices is None:
+        even = [num for num in range(1, there + 1) if num_workers % (num * processes) == 0]
+        num_devices = max(even, default=1)
+    if num_devices > there:
+        raise base.UserError(f"num_devices = {num_devices} must be at most {there}, all there are")
+    if num_workers % (num_devices * processes):
+        raise base.UserError(
+            f"num_workers = {num_workers} must be a multiple of the {num_devices * processes} "
+            "devices that share them"
+        )
+    devices = [
+        device
+        for process in range(processes)
+        for device in jax.local_devices(process_index=process)[:num_devices]
+    ]
+    return jax.sharding.Mesh(np.array(devices), (peg_a2c.AXIS,))
+
+
+def init(agent: peg_a2c.PegA2C, seed: int, mesh: jax.sharding.Mesh) -> peg_a2c.LearnerState:
+    """Makes the first state of a learner, every worker on its device."""
+    return jax.jit(lambda: agent.init(jax.random.key(seed)), out_shardings=_shardings(mesh))()
+
+
+def repeated_update(agent: peg_a2c.PegA2C, num: int, mesh: jax.sharding.Mesh) -> jax.stages.Wrapped:
+    """Makes the compiled function of `num` updates.
+
+    Returns:
+      A function from a state, which it consumes, to the next one and to metrics with axis `num`.
+    """
+
+    def run(
+        state: peg_a2c.LearnerState,
+    ) -> tuple[peg_a2c.LearnerState, dict[str, Float[Array, " U"]]]:
+        return jax.lax.scan(lambda state, _: agent.update(state), state, length=num)
+
+    everywhere = PartitionSpec()
+    # Tracking which values differ between devices would ask every environment for carries that
+    # say so from the first step; that the parameters stay equal is tested instead.
+    sharded = jax.shard_map(
+        run, mesh=mesh, in_specs=(SPECS,), out_specs=(SPECS, everywhere), check_vma=False
+    )
+    # Without `out_shardings` a state that comes back looks different from a first one on one
+    # device, and everything would be compiled twice.
+    shardings = (_shardings(mesh), jax.sharding.NamedSharding(mesh, everywhere))
+    return jax.jit(sharded, donate_argnums=0, out_shardings=shardings)
+
+
+def _shardings(mesh: jax.sharding.Mesh) -> peg_a2c.LearnerState:
+    return jax.tree.map(
+        lambda spec: jax.sharding.NamedSharding(mesh, spec),
+        SPECS,
+        is_leaf=lambda x: isinstance(x, PartitionSpec),
+    )
