@@ -1,5 +1,7 @@
 """MuJoCo's C engine, batched over a thread pool and called from inside compiled JAX programs."""
 
+import threading
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -28,6 +30,7 @@ class MujocoEngine:
         self.robot = robot
         self.model = scene.build(robot)
         self._batches: dict[int, mujoco_batch.Batch] = {}
+        self._lock = threading.Lock()  # JAX may run two programs' callbacks at once
 
     def step(
         self,
@@ -45,6 +48,13 @@ class MujocoEngine:
         self, state: engine.PhysicsState, ctrl: Array, walls_xy: Array
     ) -> engine.PhysicsState:
         """Steps every row of arrays with any leading axes, on the host."""
+        with self._lock:
+            return self._step_locked(state, ctrl, walls_xy)
+
+    def _step_locked(
+        self, state: engine.PhysicsState, ctrl: Array, walls_xy: Array
+    ) -> engine.PhysicsState:
+        """Does the work of `_step_rows`, one caller at a time."""
         lead = state.qpos.shape[:-1]
         rows = self._batch(int(np.prod(lead)))
         fields = ("qpos", "qvel", "qacc_warmstart")
