@@ -126,7 +126,7 @@ def render(
         arrow = _arrow(backdrop, xy[step], int(recording.direction[decision]))
         _paint(canvas, backdrop, arrow, palette.ARROW, opacity=0.9)
         geoms = capsules(jnp.asarray(recording.qpos[step], jnp.float32))
-        picture.place_robot(canvas, backdrop, tuple(map(np.asarray, geoms)), reach=reach + 0.8)
+        picture.place_robot(canvas, backdrop, geoms, reach=reach + 0.8)
         yield _with_panel(
             picture.finish(canvas), recording, step, title, num_achieved=int(visited[step].sum())
         )

@@ -3,8 +3,9 @@
 import dataclasses
 import json
 import pathlib
+from collections.abc import Iterable
 
-from eihrl_jax import base, config, mazes, robots
+from eihrl_jax import base, config, mazes, raster, robots
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.evaluation import report, results, rollouts, systems
 from eihrl_jax.physics import engine as engine_lib
@@ -51,7 +52,7 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
     cells: list[results.Cell] = []
     seconds: dict[str, float] = {}
     for item in prepared:
-        title = f"{item.system.robot}, {item.system.movement} movement"
+        title = f"{item.system.robot}, {item.system.movement} movement, {item.system.high}"
         with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
             found, taken = rollouts.run(item.env, item.high_policy, plan, progress)
         cells += _summarise(item.system, found, chosen)
@@ -96,26 +97,37 @@ def _prepare(options: evaluate_config.EvaluateConfig, stacked: mazes.Maze) -> li
     """Loads all policies and builds all environments before anything runs."""
     highs = [systems.load_high(name, greedy=options.greedy) for name in options.high]
     prepared = []
-    for i, robot_name in enumerate(options.robot):
-        robot = robots.load(robot_name)
+    for i, name in enumerate(options.robot):
+        robot = robots.load(name)
         for movement in options.movement:
             low = None
             if movement == "full":
-                low = options.low[i] if options.low else robot_name
-                low_policy = systems.load_low(low, robot)
-                engine = engine_lib.make(robot, options.engine)
+                low = options.low[i] if options.low else name
+            # High levels that see the same share an environment.
+            views = dict.fromkeys(high.view for high in highs)
+            envs = dict(zip(views, _envs(options, robot, low, stacked, views), strict=True))
             for high in highs:
-                if movement == "full":
-                    env = systems.full(engine, stacked, high.view, low_policy)
-                else:
-                    env = systems.oracle(
-                        robot, stacked, high.view, step=options.step, sigma=options.sigma
-                    )
-                system = results.System(
-                    robot=robot_name, movement=movement, high=high.label, low=low
-                )
-                prepared.append(_Prepared(system, robot, env, high.policy))
+                system = results.System(robot=name, movement=movement, high=high.label, low=low)
+                prepared.append(_Prepared(system, robot, envs[high.view], high.policy))
     return prepared
+
+
+def _envs(
+    options: evaluate_config.EvaluateConfig,
+    robot: robot_lib.Robot,
+    low: str | None,
+    stacked: mazes.Maze,
+    views: Iterable[raster.View],
+) -> list[rollouts.Traced]:
+    """Builds one robot's environment for each view: walking with `low`, or moved by the oracle."""
+    if low is None:
+        return [
+            systems.oracle(robot, stacked, view, step=options.step, sigma=options.sigma)
+            for view in views
+        ]
+    low_policy = systems.load_low(low, robot)
+    engine = engine_lib.make(robot, options.engine)
+    return [systems.full(engine, stacked, view, low_policy) for view in views]
 
 
 def _summarise(

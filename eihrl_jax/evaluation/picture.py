@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from eihrl_jax import base
 from eihrl_jax.evaluation import palette, raycast
 from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.physics import kinematics
 
 SUPERSAMPLING = 2
 WALL_HEIGHT = 1.1
@@ -172,7 +173,7 @@ def _draw_maze(
     goal = jnp.where(is_floor, maze.goal[i.clip(0, rows - 1), j.clip(0, columns - 1)], 0)
 
     up = (jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1.0))
-    normal = tuple(jnp.where(is_floor, u, n) for u, n in zip(up, wall.normal, strict=True))
+    normal = jax.tree.map(lambda u, n: jnp.where(is_floor, u, n), up, wall.normal)
     light = raycast.vector(jnp.array(_LIGHT))
     is_dark = raycast.boxes(*raycast.to_light(point, normal, light), low, high).index >= 0
     lambert = jnp.maximum(raycast.dot(normal, light), 0.0)
@@ -263,7 +264,7 @@ def draw_robot(
 def place_robot(
     canvas: Float[np.ndarray, "H W 3"],
     backdrop: Backdrop,
-    capsules: tuple[Float[np.ndarray, "G 3"], Float[np.ndarray, "G 3"], Float[np.ndarray, " G"]],
+    capsules: kinematics.Capsules,
     *,
     reach: float,
 ) -> None:
@@ -278,7 +279,7 @@ def place_robot(
     start, end, radius = capsules
     height, width = canvas.shape[:2]
     size = min(2 * int(np.ceil(1.15 * reach * backdrop.pixels_per_unit)), height, width)
-    torso = raycast.project(backdrop.camera, jnp.asarray((start[:1] + end[:1]) / 2, jnp.float32))
+    torso = raycast.project(backdrop.camera, (start[:1] + end[:1]) / 2)
     corner = np.round(np.asarray(torso)[0] - size / 2).astype(int)
     corner = np.clip(corner, 0, [width - size, height - size])
     drawn = draw_robot(

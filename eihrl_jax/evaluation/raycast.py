@@ -190,9 +190,8 @@ def to_light(point: Vector, normal: Vector, light: Vector) -> tuple[Vector, Vect
       normal: their normals.
       light: unit vector towards the light.
     """
-    x, y, z = (p + _NUDGE * n for p, n in zip(point, normal, strict=True))
-    shape = jnp.shape(point[0])
-    return (x, y, z), tuple(jnp.broadcast_to(component, shape) for component in light)
+    origin = jax.tree.map(lambda p, n: p + _NUDGE * n, point, normal)
+    return origin, jax.tree.map(lambda part: jnp.broadcast_to(part, jnp.shape(point[0])), light)
 
 
 def _minus(a: Vector, b: Vector) -> Vector:

@@ -350,7 +350,7 @@ def _rollout(batches: list[_Batch], plan: Plan, maze: int) -> Rollout:
         for name in batches[0].columns
     }
     num_rows, num_columns = list(plan.mazes.values())[maze].wall.shape
-    count = sum(batch.count[maze] for batch in batches)
+    count = np.sum([batch.count[maze] for batch in batches], axis=0)
     count = count[: num_rows * heatmap.BINS_PER_CELL, : num_columns * heatmap.BINS_PER_CELL]
     side = base.CELL / heatmap.BINS_PER_CELL
     return Rollout(

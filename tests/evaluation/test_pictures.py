@@ -112,8 +112,8 @@ def test_walls_goals_and_floor_are_where_the_maze_has_them(maze, backdrop):
 def test_robot_is_drawn_where_it_is_and_hidden_by_walls(backdrop):
     def differs(x, y):
         canvas = backdrop.colour.copy()
-        centre = np.array([[x, y, 0.3]], np.float32)
-        ball = (centre, centre, np.array([0.3], np.float32))
+        centre = jnp.array([[x, y, 0.3]])
+        ball = (centre, centre, jnp.array([0.3]))
         picture.place_robot(canvas, backdrop, ball, reach=1.2)
         return (np.abs(canvas - backdrop.colour) > 1e-3).any(-1)
 
