@@ -64,7 +64,7 @@ def _read(path: pathlib.Path) -> str:
             raise base.UserError(
                 f"maze {str(path)!r}: {path.stat().st_size} bytes, at most {_MAX_BYTES}"
             )
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise base.UserError(f"maze {str(path)!r}: {error.strerror}") from error
     except UnicodeDecodeError as error:

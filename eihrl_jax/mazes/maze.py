@@ -24,7 +24,7 @@ class Maze(struct.PyTreeNode):
       wall: bool [R, C], true where a body can't be.
       goal: int32 [R, C], number of the goal region of a cell, 1 to 9, or 0.
       start: bool [R, C], cells in which an episode may start.
-      door: bool [R, C], door candidates; wall until `draw_door` opens one of them.
+      door: bool [R, C], door candidates; wall until `open_door` opens one of them.
       start_jitter: float32, half-width of the uniform offset from the start cell's centre, units.
       num_goals: int32, number of goals of an episode.
       num_decisions: int32, time limit in subgoals (paper, Table 3 divided by 25).
@@ -93,11 +93,6 @@ def open_door(maze: Maze, ij: Int[Array, "2"]) -> Maze:
         wall=(maze.wall | maze.door) & ~is_open,
         goal=jnp.where(is_open, 1, maze.goal),
     )
-
-
-def draw_door(maze: Maze, key: Key[Array, ""]) -> Maze:
-    """Opens one door candidate as goal 1; a maze without candidates stays as it is."""
-    return open_door(maze, draw_cell(maze.door, key))
 
 
 def draw_start(maze: Maze, key: Key[Array, ""]) -> Float[Array, "2"]:

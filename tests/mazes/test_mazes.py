@@ -117,7 +117,7 @@ def test_stack_pads_with_wall_and_keeps_coordinates():
 
 def test_load_reads_a_file(tmp_path):
     path = tmp_path / "mine.txt"
-    path.write_text("\n#####\r\n#S.1#  \n#####\n\n")
+    path.write_text("\n#####\r\n#S.1#  \n#####\n\n", encoding="utf-8-sig")
     maze = mazes.load(path)
     assert maze.wall.shape == (3, 5)
     assert (maze.num_goals, maze.num_decisions) == (1, 24)
