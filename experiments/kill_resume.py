@@ -26,7 +26,7 @@ SHORT = {
     "low": (
         "--robot point --num-envs 4 --capacity 4096 --warmup-iterations 64 --num-postures 64 "
         "--updates-per-iteration 4 --droq.hidden 32 32 --log-every 50 --evaluate-every 200 "
-        "--checkpoint-every 100 --num-iterations 2000"
+        "--checkpoint-every 200 --num-iterations 2000"
     ),
     "high": (
         "--learner.num-updates 2000 --learner.num-workers 16 --num-eval-episodes 16 "
@@ -95,7 +95,8 @@ def _finish(options: Options, folder: pathlib.Path) -> None:
     """Starts or resumes a run and waits for its end."""
     done = subprocess.run(_command(options, folder), capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise base.UserError(f"{folder} can't be finished: {(done.stderr or 'no word').strip()}")
+        reason = done.stderr.strip().splitlines()[-1:] or ["no reason given"]
+        raise base.UserError(f"{folder} can't be finished: {reason[0].removeprefix('error: ')}")
 
 
 def _kill(options: Options, folder: pathlib.Path, moment: float) -> str:

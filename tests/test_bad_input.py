@@ -1,0 +1,104 @@
+"""What a user can get wrong on the command lines: one clear line, exit code 2, nothing touched."""
+
+import pathlib
+import runpy
+import sys
+
+import pytest
+
+from eihrl_jax import policies
+from eihrl_jax.training import parallel
+from experiments import _cli
+
+RUN = "{tmp}/new"
+
+MISTAKES = [
+    # trainer and options; what the line must name
+    ("train_low --robot walrus", ["walrus", "point, ant, swimmer, humanoid"]),
+    ("train_low --num-envs 0", ["num_envs = 0", "at least 1"]),
+    ("train_low --droq.gamma 1.5", ["gamma = 1.5", "at most 1.0"]),
+    ("train_low --engine ode", ["--engine", "ode", "mujoco", "mjx"]),
+    ("train_low --preset fastest", ["--preset", "fastest", "paper"]),
+    ("train_low --speed 3", ["--speed"]),
+    ("train_low --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
+    ("train_low --run {tmp}/old/config.json", ["{tmp}/old/config.json"]),
+    ("train_high --task.maze g9", ["g9", "random", "spiral", "g3"]),
+    ("train_high --task.robot walrus", ["walrus", "ant"]),
+    ("train_high --task.maze {tmp}/closed.txt", ["closed.txt"]),
+    ("train_high --task.maze {tmp}/ragged.txt", ["ragged.txt", "row"]),
+    ("train_high --task.maze {tmp}/unknown.txt", ["unknown.txt", "'x'", "row", "column"]),
+    ("train_high --task.maze {tmp}/skips.txt", ["skips.txt", "2"]),
+    ("train_high --task.maze {tmp}/startless.txt", ["startless.txt", "start"]),
+    ("train_high --task.maze {tmp}/absent.txt", ["absent.txt"]),
+    ("train_high --task.sigma -1", ["sigma = -1.0", "at least 0.0"]),
+    ("train_high --learner.num-updates 0", ["num_updates = 0", "at least 1"]),
+    ("train_high --learner.num-updates x", ["--learner.num-updates", "'x'"]),
+    ("train_high --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
+    ("train_high --run {tmp}/old --resume", ["{tmp}/old", "preset"]),
+    ("evaluate --mazes random g9", ["g9", "spiral"]),
+    ("evaluate --mazes {tmp}/closed.txt", ["closed.txt"]),
+    ("evaluate --high random --robot walrus", ["walrus", "ant"]),
+    ("evaluate --episodes 0", ["episodes = 0", "at least 1"]),
+    ("evaluate --movement fly", ["--movement", "fly"]),
+    ("evaluate --high {tmp}/absent", ["{tmp}/absent", "policy"]),
+    ("evaluate --high {tmp}/truncated", ["{tmp}/truncated", "damaged"]),
+    ("evaluate --high {tmp}/walker", ["{tmp}/walker", "low-level", "high-level"]),
+    ("evaluate --high random --low {tmp}/walker", ["{tmp}/walker", "'point'", "'ant'"]),
+    ("evaluate --high random --out {tmp}/old", ["{tmp}/old"]),
+]
+
+MAZES = {
+    "closed": "#####\n#S#1#\n#####\n",
+    "ragged": "#####\n#S1#\n#####\n",
+    "unknown": "#####\n#Sx1#\n#####\n",
+    "skips": "######\n#S1.3#\n######\n",
+    "startless": "#####\n#..1#\n#####\n",
+}
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder with broken mazes, an old run, a truncated policy and one of another robot."""
+    for name, text in MAZES.items():
+        (tmp_path / f"{name}.txt").write_text(text)
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "config.json").write_text("{}")
+    policies.save(tmp_path / "walker", kind="low", params={}, meta={"robot": "point"})
+    policies.save(tmp_path / "truncated", kind="high", params={}, meta={})
+    meta = tmp_path / "truncated" / "meta.json"
+    meta.write_bytes(meta.read_bytes()[:-3])
+    return tmp_path
+
+
+def snapshot(folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
+    return {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize(("line", "words"), MISTAKES, ids=[line for line, _ in MISTAKES])
+def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
+    module, *arguments = line.format(tmp=place).split()
+    where = "--out" if module == "evaluate" else "--run"
+    if where not in arguments:
+        arguments += [where, RUN.format(tmp=place)]
+    before = snapshot(place)
+    monkeypatch.setattr(_cli, "_set_compilation_cache", lambda: None)
+    monkeypatch.setattr(parallel, "use_cpu_cores", lambda: None)
+    monkeypatch.setattr(sys, "argv", [module, *arguments])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_module(f"experiments.{module}", run_name="__main__")
+    assert end.value.code == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("error: ")
+    assert [word for word in words if word.format(tmp=place) not in lines[0]] == [], lines[0]
+    after = snapshot(place)
+    assert {file: after.get(file) for file in before} == before
+
+
+@pytest.mark.parametrize("module", ["train_low", "train_high", "evaluate", "kill_resume"])
+def test_help_names_options_and_defaults(module, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [module, "--help"])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_module(f"experiments.{module}", run_name="__main__")
+    assert end.value.code == 0
+    assert "default:" in capsys.readouterr().out
