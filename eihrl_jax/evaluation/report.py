@@ -124,7 +124,7 @@ def draw_learning_curve(run: pathlib.Path) -> pathlib.Path:
     Raises:
       base.UserError: the folder has no metrics.
     """
-    points = curves.read(run / "metrics.csv", "decisions", "success")
+    points = curves.read(run / "metrics.csv", "num_decisions", "success")
     path = run / "learning_curve.png"
     curves.save(
         path,

@@ -178,6 +178,9 @@ def test_point_robot_drives_to_the_door(rolling):
     assert bool(state.terminated)
     assert float(state.metrics["success"]) == 1.0
     assert 3 <= int(state.inner.nav.decisions) <= 6
+    later = step(state, jnp.int32(WEST))  # the engine leaves a robot alone whose episode is over
+    np.testing.assert_array_equal(later.inner.body.physics.qpos, state.inner.body.physics.qpos)
+    np.testing.assert_array_equal(later.inner.body.physics.qvel, state.inner.body.physics.qvel)
 
 
 def test_walls_stop_it_and_batches_change_nothing(rolling):
