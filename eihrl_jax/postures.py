@@ -29,8 +29,7 @@ _CHUNK = 64
 """Silhouettes that are drawn at once; bounds memory."""
 
 
-@struct.dataclass
-class PostureBank:
+class PostureBank(struct.PyTreeNode):
     """N postures of one robot.
 
     Attributes:
@@ -68,7 +67,8 @@ def synthetic(robot: robot_lib.Robot, num: int = 512, seed: int = 0) -> PostureB
             qpos[:, address] += spread * (drawn - stand[address])
     qpos[:, :2] = 0.0
     if robot.root == "free":
-        start, end, radius = jax.vmap(kinematics.capsules(model))(jnp.asarray(qpos, jnp.float32))
+        to_capsules = jax.jit(jax.vmap(kinematics.capsules(model)))
+        start, end, radius = to_capsules(jnp.asarray(qpos, jnp.float32))
         lowest = np.asarray(jnp.minimum(start[..., 2], end[..., 2]) - radius).min(1)
         qpos[:, 2] -= lowest
     return PostureBank(qpos=jnp.asarray(qpos, jnp.float32))
@@ -89,7 +89,7 @@ def load(path: pathlib.Path, robot: robot_lib.Robot) -> PostureBank:
       base.UserError: the file is missing, damaged, or another robot's.
     """
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             name, qpos = str(arrays["robot"]), arrays["qpos"]
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise base.UserError(f"posture bank {path} can't be read: {error}") from None

@@ -1,0 +1,151 @@
+"""Every robot loads, settles, steps without exploding on both engines, and is as it says it is."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from eihrl_jax import base, robots
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import kinematics, scene
+
+NUM = 4
+
+
+def roll(engine, ctrls):
+    """Steps copies of the robot from its standing posture; returns qpos and qvel [T, N, ...]."""
+    model = engine.model
+    start = np.tile(model.key_qpos[0], (ctrls.shape[1], 1))
+    start = jax.vmap(engine_lib.reset)(jnp.asarray(start), jnp.zeros((len(start), model.nv)))
+    walls_xy = np.full((len(start.qpos), engine.robot.num_walls, 2), scene.PARKED_XY, np.float32)
+
+    def step(state, ctrl):
+        state = jax.vmap(engine.step)(state, ctrl, jnp.asarray(walls_xy))
+        return state, (state.qpos, state.qvel)
+
+    rolled = jax.jit(lambda s, u: jax.lax.scan(step, s, u)[1])(start, jnp.asarray(ctrls))
+    return jax.tree.map(np.asarray, rolled)
+
+
+def ctrls_of(engine, num_steps, kind):
+    shape = (num_steps, NUM, engine.model.nu)
+    drawn = np.random.default_rng(0).choice([-1.0, 1.0], shape)
+    return (drawn if kind == "random" else np.zeros(shape)).astype(np.float32)
+
+
+def test_names():
+    assert all(robots.load(name).name == name for name in robots.NAMES)
+    with pytest.raises(base.UserError, match=r"robot 'cheetah' is unknown; choose one of point, "):
+        robots.load("cheetah")
+
+
+@pytest.mark.parametrize("name", robots.NAMES)
+def test_description_fits_the_model(name):
+    robot = robots.load(name)
+    model = scene.build(robot)
+    np.testing.assert_array_equal(model.actuator_ctrlrange, [[-1.0, 1.0]] * model.nu)
+    first = mujoco.mjtJoint(model.jnt_type[0])
+    assert model.body(1).name == "torso"
+    if robot.root == "free":
+        assert first == mujoco.mjtJoint.mjJNT_FREE
+    else:
+        assert first == mujoco.mjtJoint.mjJNT_SLIDE
+        np.testing.assert_array_equal(model.jnt_axis[:2], [[1, 0, 0], [0, 1, 0]])
+    low, high = model.jnt_range.T
+    stand = model.key("stand").qpos
+    for joint in np.flatnonzero(model.jnt_limited):
+        assert low[joint] <= stand[model.jnt_qposadr[joint]] <= high[joint]
+
+
+@pytest.mark.parametrize("name", robots.NAMES)
+def test_no_part_is_farther_than_reach(name):
+    """Random postures, joints at their limits among them."""
+    robot = robots.load(name)
+    model = scene.build(robot)
+    rng = np.random.default_rng(0)
+    qpos = np.tile(model.key_qpos[0], (1000, 1))
+    for joint in np.flatnonzero(model.jnt_limited):
+        low, high = model.jnt_range[joint]
+        drawn = np.clip(rng.uniform(2 * low - high, 2 * high - low, 1000), low, high)
+        qpos[:, model.jnt_qposadr[joint]] = drawn
+    if robot.root == "free":
+        qpos[:, 3:7] = rng.normal(size=(1000, 4))
+    start, end, radius = jax.jit(jax.vmap(kinematics.capsules(model)))(
+        jnp.asarray(qpos, jnp.float32)
+    )
+    ends = np.stack([start, end])[..., :2]
+    farthest = (np.linalg.norm(ends, axis=-1) + np.asarray(radius)).max()
+    assert 0.9 * robot.reach < farthest <= robot.reach + 1e-6
+
+
+@pytest.mark.parametrize("name", robots.NAMES)
+@pytest.mark.parametrize("kind", ["still", "random"])
+def test_steps_stably(name, kind):
+    """300 control steps without nan or absurd speeds; still robots come to rest."""
+    engine = engine_lib.make(robots.load(name))
+    qpos, qvel = roll(engine, ctrls_of(engine, 300, kind))
+    assert np.isfinite(qpos).all()
+    assert np.abs(qvel).max() < 60.0
+    if kind == "still":
+        assert np.abs(qvel[-1]).max() < 0.05
+        assert np.abs(qpos[-1, :, :2]).max() < 1.0
+    else:
+        assert np.abs(qvel[-1]).max() > 0.05
+
+
+def test_ant_settles_on_its_feet():
+    engine = engine_lib.make(robots.load("ant"))
+    qpos, _ = roll(engine, ctrls_of(engine, 200, "still"))
+    low, high = engine.robot.healthy_z
+    assert low < qpos[-1, 0, 2] < high
+
+
+def test_humanoid_stands_then_falls_without_control():
+    engine = engine_lib.make(robots.load("humanoid"))
+    qpos, _ = roll(engine, ctrls_of(engine, 120, "still"))
+    low, high = engine.robot.healthy_z
+    assert (qpos[:8, :, 2] > low).all() and (qpos[:8, :, 2] < high).all()
+    assert (qpos[-1, :, 2] < 0.5).all()
+
+
+def test_point_reaches_its_terminal_speed():
+    """8 N against a damping of 4 N s/unit: 2 units/s, the same in every direction."""
+    engine = engine_lib.make(robots.load("point"))
+    ctrls = np.zeros((20, NUM, 2), np.float32)
+    ctrls[:] = [[1, 0], [-1, 0], [0, 1], [0, -1]]
+    _, qvel = roll(engine, ctrls)
+    np.testing.assert_allclose(qvel[-1], 2.0 * ctrls[-1], atol=0.01)
+
+
+def test_swimmer_swims():
+    """Bending in turns moves it along; at rest the water stops it. No floor holds it."""
+    engine = engine_lib.make(robots.load("swimmer"))
+    t = np.arange(300) * engine.robot.control_step
+    wave = np.stack([np.sin(2.0 * t), np.sin(2.0 * t - np.pi / 2)], 1)
+    ctrls = np.tile(wave[:, None], (1, NUM, 1)).astype(np.float32)
+    qpos, _ = roll(engine, ctrls)
+    assert np.linalg.norm(qpos[-1, 0, :2]) > 1.0
+
+
+def test_swimmer_is_stopped_by_a_wall():
+    engine = engine_lib.make(robots.load("swimmer"))
+    walls_xy = np.full((8, 2), scene.PARKED_XY, np.float32)
+    walls_xy[0] = (4.0, 0.0)
+    state = engine_lib.reset(jnp.zeros(5), jnp.zeros(5).at[0].set(3.0))
+    for _ in range(10):
+        state = engine.step(state, jnp.zeros(2), jnp.asarray(walls_xy))
+    nose = state.qpos[0] + 1.5 + 0.1
+    assert 2.3 < nose < 2.6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["point", "swimmer", "humanoid"])
+def test_mjx_agrees_on_the_other_robots(name):
+    """Ten control steps with random controls; the ant's comparison is in tests/physics."""
+    robot = robots.load(name)
+    c_engine, mjx_engine = (engine_lib.make(robot, engine) for engine in engine_lib.ENGINES)
+    ctrls = ctrls_of(c_engine, 10, "random")
+    truth, _ = roll(c_engine, ctrls)
+    qpos, _ = roll(mjx_engine, ctrls)
+    np.testing.assert_allclose(qpos, truth, atol=5e-3)
