@@ -9,8 +9,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
 
-@struct.dataclass
-class Replay:
+class Replay(struct.PyTreeNode):
     """A ring buffer. C: capacity, D: numbers per row.
 
     A stored pytree is one row of float32, so that drawing it is one contiguous copy: gathering leaf

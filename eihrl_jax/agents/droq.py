@@ -5,7 +5,7 @@ Dropout is on in the online critics, the target critics and the actor's loss; th
 mean of the critics, the target their minimum.
 """
 
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -92,7 +92,7 @@ class Droq:
         deterministic: bool = False,
     ) -> Float[Array, " A"]:
         """Returns an action in (-1, 1): a sample, or the squashed mean."""
-        mean, log_std = self._actor.apply({"params": actor_params}, obs)
+        mean, log_std = self._squashed(actor_params, obs)
         if deterministic:
             return jnp.tanh(mean)
         return tanh_normal.sample(mean, log_std, key)[0]
@@ -176,7 +176,7 @@ class Droq:
         return state, {"actor_loss": loss, "entropy": entropy}
 
     def _step(self, grads: Any, opt_state: optax.OptState) -> tuple[Any, optax.OptState]:
-        """Returns Adam's updates; Optax takes an integer power of a float, which strict mode bars."""
+        """Returns Adam's updates; Optax takes integer powers of floats, barred in strict mode."""
         with jax.numpy_dtype_promotion("standard"):
             return self._optimizer.update(grads, opt_state)
 
@@ -190,10 +190,14 @@ class Droq:
         soft_value = values.min(0) - jnp.exp(state.log_temperature) * log_prob
         return batch.reward + batch.discount * soft_value
 
+    def _squashed(self, actor_params: Any, obs: Float[Array, "*B F"]) -> tuple[Array, Array]:
+        """Returns mean and log standard deviation of the actions before they are squashed."""
+        return cast(tuple[Array, Array], self._actor.apply({"params": actor_params}, obs))
+
     def _sample(
         self, actor_params: Any, obs: Float[Array, "B F"], key: Key[Array, ""]
     ) -> tuple[Float[Array, "B A"], Float[Array, " B"]]:
-        mean, log_std = self._actor.apply({"params": actor_params}, obs)
+        mean, log_std = self._squashed(actor_params, obs)
         return tanh_normal.sample(mean, log_std, key)
 
     def values(
@@ -207,7 +211,7 @@ class Droq:
         keys = jax.random.split(key, len(critic_params))
         return jnp.stack(
             [
-                self._critic.apply({"params": params}, obs, action, one_key)
+                cast(Array, self._critic.apply({"params": params}, obs, action, one_key))
                 for params, one_key in zip(critic_params, keys, strict=True)
             ]
         )

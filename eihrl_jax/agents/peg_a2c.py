@@ -8,7 +8,7 @@ spread over devices changes nothing but rounding.
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, cast
 
 import flax.linen as nn
 import jax
@@ -176,8 +176,8 @@ class PegA2C:
         if self.learner.window is None:
             return self.collect_episode(params, key)
         env_state, cut_obs, decisions = self._decide(params, env_state, key)
-        _, end_value = self.network.apply(params, env_state.obs)
-        _, cut_value = self.network.apply(params, cut_obs)
+        _, end_value = self._forward(params, env_state.obs)
+        _, cut_value = self._forward(params, cut_obs)
         return env_state, self._batch(decisions, end_value, cut_value), _counts(decisions)
 
     def collect_episode(
@@ -241,7 +241,7 @@ class PegA2C:
 
         def decide(carry, step_key):
             env_state, is_running, cut_obs = carry
-            logits, value = self.network.apply(params, env_state.obs)
+            logits, value = self._forward(params, env_state.obs)
             action = jax.random.categorical(step_key, logits).astype(jnp.int32)
             following = self.env.step(env_state, action)
             decision = Decision(
@@ -264,9 +264,13 @@ class PegA2C:
         )
         return env_state, cut_obs, decisions
 
+    def _forward(self, params: Any, obs: Any) -> tuple[Float[Array, "4"], Float[Array, ""]]:
+        """Returns the logits of the subgoals and the value of an observation."""
+        return cast(tuple[Array, Array], self.network.apply(params, obs))
+
     def _loss_terms(self, params: Any, decision: Batch) -> dict[str, Float[Array, ""]]:
         """Computes the terms of the loss for one decision."""
-        logits, value = self.network.apply(params, decision.obs)
+        logits, value = self._forward(params, decision.obs)
         return {
             "policy_loss": losses.policy_gradient(logits, decision.action, decision.advantage),
             "value_loss": losses.value_error(value, decision.return_),

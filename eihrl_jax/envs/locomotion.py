@@ -269,7 +269,7 @@ class Locomotion:
         )
         obs = self._observe(walk)
         zero, no = jnp.float32(0.0), jnp.zeros((), bool)
-        metrics = dict.fromkeys(METRICS, zero)
+        metrics: dict[str, Array] = {name: zero for name in METRICS}
         return base.EnvState(
             inner=walk,
             obs=obs,

@@ -1,10 +1,10 @@
 """MuJoCo's C engine, batched over a thread pool and called from inside compiled JAX programs."""
 
 import threading
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 from mujoco import batch as mujoco_batch
@@ -61,15 +61,16 @@ class MujocoEngine:
         for name in fields:
             view = rows.bind(name)
             view[...] = np.reshape(getattr(state, name), view.shape)
-        ctrl = np.asarray(ctrl).reshape(rows.nsim, -1)
-        moving = np.flatnonzero(np.isfinite(ctrl).all(1))
-        rows.bind("ctrl")[moving] = ctrl[moving]
+        ctrl_rows = np.reshape(ctrl, (rows.nsim, -1))
+        moving = np.flatnonzero(np.isfinite(ctrl_rows).all(1))
+        rows.bind("ctrl")[moving] = ctrl_rows[moving]
         rows.bind("mocap_pos")[..., :2] = np.reshape(walls_xy, (rows.nsim, -1, 2))
         try:
             rows.step(ids=moving, nstep=self.robot.num_substeps)
         except mujoco_batch.SimulationError as error:
             rows.bind("qpos")[error.ids] = np.nan  # the environment's guard ends these episodes
-        return engine.PhysicsState(**{name: _as_float32(rows.bind(name), lead) for name in fields})
+        read: dict[str, Any] = {name: _as_float32(rows.bind(name), lead) for name in fields}
+        return engine.PhysicsState(**read)
 
     def _batch(self, num_rows: int) -> mujoco_batch.Batch:
         """Returns the simulations for `num_rows` rows, made on first use."""

@@ -15,4 +15,4 @@ ROBOT = robot.Robot(
     body_radius=0.7,
     healthy_z=(0.2, 1.0),
 )
-"""0.1 s per control step as in the HIRO line of ant mazes; 25 of them per subgoal (paper, Table 4)."""
+"""0.1 s per control step as in the HIRO line of ant mazes; 25 per subgoal (paper, Table 4)."""

@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import jax
 import rich.console
 import rich.progress
 
@@ -36,9 +37,9 @@ class Progress:
           total: number of steps of the whole job.
           unit: what a step is called.
           done: steps that were done earlier, by the run that is resumed.
-          console: where to write, standard output by default.
+          console: where to write; by default standard output, for the first process of a run alone.
         """
-        self._console = console or rich.console.Console()
+        self._console = console or rich.console.Console(quiet=jax.process_index() != 0)
         self._title, self._unit, self._total = title, unit, total
         self._done = done
         self._metrics: dict[str, float] = {}
