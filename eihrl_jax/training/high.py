@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from eihrl_jax import mazes, policies, postures, raster, robots
+from eihrl_jax import base, mazes, policies, postures, raster, robots
 from eihrl_jax.agents import peg_a2c
 from eihrl_jax.config import checks
 from eihrl_jax.config import high as high_config
@@ -25,7 +25,7 @@ EVALUATION_STREAM = 1
 """Folded into the seed's key for evaluation, whose draws must not be those of training."""
 
 
-def train(config: high_config.HighConfig) -> None:
+def train(config: high_config.HighConfig) -> float:
     """Trains a high level in a run folder, or goes on with a run that was stopped.
 
     The run folder ends up with the policy. In a run of several processes all must call this; the
@@ -33,6 +33,9 @@ def train(config: high_config.HighConfig) -> None:
 
     Args:
       config: the run's options.
+
+    Returns:
+      Seconds of training past compilation, evaluations and checkpoints included.
 
     Raises:
       base.UserError: an option or the run folder is not as it should be.
@@ -50,7 +53,10 @@ def train(config: high_config.HighConfig) -> None:
         num_updates, per_update = config.learner.num_updates, decisions_per_update(agent)
         title = f"{config.task.maze} high level"
         with progress_lib.Progress(
-            title, num_updates * per_update, unit="decisions", done=done * per_update
+            title,
+            num_updates * per_update,
+            unit="decisions",
+            done=done * per_update,
         ) as progress:
             with progress.compiling("training"):
                 update = parallel.repeated_update(agent, config.log_every, mesh)
@@ -61,14 +67,16 @@ def train(config: high_config.HighConfig) -> None:
                 state, metrics = advance(state)
                 done += config.log_every
                 is_last = done == num_updates
-                row = {"decisions": int(state.num_decisions)} | summarise(metrics)
+                row = {"num_decisions": int(state.num_decisions)} | summarise(metrics)
                 if done % config.evaluate_every == 0 or is_last:
                     row |= evaluate(state)
                 run.log(done, row)
                 progress.update(done * per_update, _shown(row))
                 if done % config.checkpoint_every == 0 or is_last:
                     run.save(done, state)
+            seconds = progress.seconds
         _finish(config, run, state)
+    return seconds
 
 
 def make_env(task: high_config.Task) -> oracle_maze.OracleMaze:
@@ -134,14 +142,11 @@ def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
     episodes = totals.pop("episodes")
     del totals["decisions"]
     num_updates = np.size(metrics["episodes"])
-    return {
-        name.removeprefix("sum_"): _ratio(total, episodes if "sum_" in name else num_updates)
-        for name, total in sorted(totals.items(), reverse=True)
-    }
-
-
-def _ratio(total: float, count: float) -> float:
-    return total / count if count else math.nan
+    means = {}
+    for name, total in sorted(totals.items(), reverse=True):
+        count = episodes if name.startswith("sum_") else num_updates
+        means[name.removeprefix("sum_")] = total / count if count else math.nan
+    return means
 
 
 def _compile_evaluation(

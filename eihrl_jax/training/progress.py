@@ -43,7 +43,8 @@ class Progress:
         self._title, self._unit, self._total = title, unit, total
         self._done = done
         self._metrics: dict[str, float] = {}
-        self._history = [(time.monotonic(), done)]
+        self._begin = time.monotonic()
+        self._history = [(self._begin, done)]
         self._last_line, self._shown = time.monotonic(), -1
         self._bar: rich.progress.Progress | None = None
         if self._console.is_terminal:
@@ -71,7 +72,8 @@ class Progress:
         start = time.monotonic()
         yield
         self.print(f"{self._title}: compiled {what} in {time.monotonic() - start:.1f} s")
-        self._history = [(time.monotonic(), self._done)]
+        self._begin = time.monotonic()
+        self._history = [(self._begin, self._done)]
 
     def print(self, line: str) -> None:
         """Prints a line above the bar."""
@@ -94,6 +96,11 @@ class Progress:
             self._bar.update(self._task, completed=done, text=self._text())
         elif now - self._last_line >= PLAIN_INTERVAL:
             self._print_line()
+
+    @property
+    def seconds(self) -> float:
+        """Time since the last compilation, or since the start where nothing was compiled."""
+        return time.monotonic() - self._begin
 
     @property
     def steps_per_second(self) -> float:

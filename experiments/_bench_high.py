@@ -1,0 +1,94 @@
+"""Measurements of the high level for `experiments.benchmark`: speed, and what a minute teaches."""
+
+import dataclasses
+import pathlib
+import time
+from typing import Any
+
+import jax
+
+from eihrl_jax import presets
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import high as high_config
+from eihrl_jax.evaluation import evaluate
+from eihrl_jax.training import high, parallel
+
+MAZES = ("random", "g1", "g2", "g3")
+
+WIDE_VIEW = {"extent": 15.0, "pixels": 25}
+"""The larger view of the issue of view sizes: five cells instead of three, as fine."""
+
+
+def decisions_per_second(num_updates: int = 500, repeats: int = 5) -> dict[str, float]:
+    """Measures environment and learning together, preset `best`, past compilation.
+
+    Args:
+      num_updates: updates per measurement.
+      repeats: measurements; the fastest and the median are reported.
+    """
+    config = presets.high_best()
+    agent = high.make_agent(high.make_env(config.task), config)
+    mesh = parallel.make_mesh(None, config.learner.num_workers)
+    state = parallel.init(agent, config.seed, mesh)
+    update = parallel.repeated_update(agent, num_updates, mesh).lower(state).compile()
+    rates = []
+    for _ in range(repeats + 1):  # the first one warms up
+        before, begin = int(state.num_decisions), time.perf_counter()
+        state, _ = jax.block_until_ready(update(state))
+        rates.append((int(state.num_decisions) - before) / (time.perf_counter() - begin))
+    ordered = sorted(rates[1:])
+    return {"median": ordered[repeats // 2], "fastest": ordered[-1]}
+
+
+def train_and_test(folder: pathlib.Path, num_seeds: int, *, is_wide: bool) -> list[dict[str, Any]]:
+    """Trains preset `best` on the Random Square, then tests it unchanged by Table 1's protocol.
+
+    Args:
+      folder: new folder for the runs.
+      num_seeds: training runs, with seeds 0, 1, ...
+      is_wide: whether the view is 15 instead of 9 units wide.
+
+    Returns:
+      Per seed: `seconds` of training past compilation, and `success` by maze, 500 episodes each,
+      directions sampled, oracle movement.
+    """
+    return [_train_and_test(folder / f"seed-{seed}", seed, is_wide) for seed in range(num_seeds)]
+
+
+def _train_and_test(folder: pathlib.Path, seed: int, is_wide: bool) -> dict[str, Any]:
+    config = dataclasses.replace(presets.high_best(), run=folder / "high", seed=seed)
+    if is_wide:
+        config = _widen(config)
+    seconds = high.train(config)
+    found = evaluate.evaluate(
+        evaluate_config.EvaluateConfig(
+            mazes=MAZES,
+            movement=("oracle",),
+            high=(str(config.run),),
+            seeds=(1000 + seed,),
+            out=folder / "evaluation",
+            animate="none",
+        )
+    )
+    success = {cell.maze: cell.success.rate for cell in found.cells}
+    return {"seed": seed, "seconds": seconds, "success": success}
+
+
+def _widen(config: high_config.HighConfig) -> high_config.HighConfig:
+    return dataclasses.replace(config, task=dataclasses.replace(config.task, **WIDE_VIEW))
+
+
+def full_episodes_seconds(folder: pathlib.Path, high_level: str) -> dict[str, float]:
+    """Measures 500 episodes of the walking ant on the Random Square, past compilation.
+
+    Args:
+      folder: new folder for the evaluation.
+      high_level: run folder or shipped name of the high level.
+    """
+    found = evaluate.evaluate(
+        evaluate_config.EvaluateConfig(
+            mazes=("random",), movement=("full",), high=(high_level,), out=folder, animate="none"
+        )
+    )
+    (seconds,) = found.about["seconds"].values()
+    return {"seconds": seconds, "success": found.cells[0].success.rate}

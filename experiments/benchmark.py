@@ -1,0 +1,127 @@
+"""Measures what the README claims: `python -m experiments.benchmark --out runs/benchmark`."""
+
+import dataclasses
+import json
+import pathlib
+import statistics
+from collections.abc import Callable
+from typing import Any, Literal, get_args
+
+from eihrl_jax import base
+from eihrl_jax.config import checks
+from eihrl_jax.training import parallel, versions
+from experiments import _bench_high, _bench_physics, _cli
+
+Part = Literal["speed", "learning", "wide_view", "interface", "maze_cost", "engines", "episodes"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BenchmarkConfig:
+    """Measures speed and success, and writes benchmark.json and benchmark.md.
+
+    Run it on a machine that does nothing else; the figures stand beside the machine's name.
+
+    Attributes:
+      parts: what to measure; default: everything, about 20 minutes on two cores.
+      num_seeds: training runs of parts learning and wide_view.
+      out: folder of the results, must be new.
+    """
+
+    parts: tuple[Part, ...] = get_args(Part)
+    num_seeds: int = 5
+    out: pathlib.Path = pathlib.Path("runs/benchmark")
+
+    def __post_init__(self) -> None:
+        """Checks ranges."""
+        checks.in_range("num_seeds", self.num_seeds, 1, 100)
+        if not self.parts:
+            raise base.UserError(
+                f"parts is empty; name at least one of {', '.join(get_args(Part))}"
+            )
+
+
+def main(config: BenchmarkConfig) -> None:
+    """Measures part by part, and writes what is there after each."""
+    if config.out.exists():
+        raise base.UserError(f"out = {config.out} exists already; name a new folder")
+    config.out.mkdir(parents=True)
+    found: dict[str, Any] = {}
+    for part in config.parts:
+        print(f"measuring {part} ...", flush=True)
+        found[part] = _measures(config)[part]()
+        document = {"machine": versions.describe(), "found": found}
+        (config.out / "benchmark.json").write_text(json.dumps(document, indent=2) + "\n")
+        (config.out / "benchmark.md").write_text(markdown(found))
+    print(markdown(found))
+
+
+def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
+    def learn(name: str, is_wide: bool) -> Any:
+        return _bench_high.train_and_test(config.out / name, config.num_seeds, is_wide=is_wide)
+
+    return {
+        "speed": _bench_high.decisions_per_second,
+        "learning": lambda: learn("learning", False),
+        "wide_view": lambda: learn("wide_view", True),
+        "interface": _bench_physics.interface_ratio,
+        "maze_cost": lambda: {
+            name: _bench_physics.maze_cost_ratio(name) for name in ("mujoco", "mjx")
+        },
+        "engines": _bench_physics.engine_deviations,
+        "episodes": lambda: _bench_high.full_episodes_seconds(config.out / "episodes", "ant"),
+    }
+
+
+def markdown(found: dict[str, Any]) -> str:
+    """Returns the figures as a Markdown table; `found` holds the results by part."""
+    rows = [line for part, result in found.items() for line in _rows(part, result)]
+    return "\n".join(["| what | measured |", "|---|---|", *rows]) + "\n"
+
+
+def _rows(part: str, result: Any) -> list[str]:
+    if part == "speed":
+        return [
+            "| decisions per second, environment and learning, 9-unit view | "
+            f"{result['median']:,.0f} (median), {result['fastest']:,.0f} (fastest) |"
+        ]
+    if part in ("learning", "wide_view"):
+        return _learning_rows("15" if part == "wide_view" else "9", result)
+    if part == "interface":
+        return [
+            "| C engine behind the interface against `mujoco.batch` alone, 1024 ants | "
+            f"{100 * result['ratio']:.0f} % of {result['alone']:,.0f} control steps/s |"
+        ]
+    if part == "maze_cost":
+        return [
+            f"| cost of a control step, Spiral against Random Square, {name} | "
+            f"{100 * (item['ratio'] - 1):+.1f} % |"
+            for name, item in result.items()
+        ]
+    if part == "engines":
+        return [f"| MJX against MuJoCo C | {json.dumps(row)} |" for row in result]
+    return [
+        "| 500 episodes of the walking ant on the Random Square, past compilation | "
+        f"{result['seconds']:.0f} s, success {100 * result['success']:.1f} % |"
+    ]
+
+
+def _learning_rows(view: str, runs: list[dict[str, Any]]) -> list[str]:
+    seconds = [run["seconds"] for run in runs]
+    rows = [
+        f"| training, {view}-unit view, past compilation, {len(runs)} seeds | "
+        f"{min(seconds):.0f} to {max(seconds):.0f} s |"
+    ]
+    for maze in runs[0]["success"]:
+        rates = [100 * run["success"][maze] for run in runs]
+        spread = statistics.stdev(rates) if len(rates) > 1 else 0.0
+        each = ", ".join(f"{rate:.1f}" for rate in rates)
+        rows.append(
+            f"| oracle success in `{maze}`, {view}-unit view | "
+            f"{statistics.mean(rates):.1f} ± {spread:.1f} % ({each}) |"
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    parallel.use_cpu_cores()
+    _cli.run(main, BenchmarkConfig)
