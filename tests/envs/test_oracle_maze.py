@@ -12,7 +12,13 @@ EAST, WEST, NORTH, SOUTH = map(jnp.int32, range(4))
 VIEW = raster.View()
 SILHOUETTES = np.random.default_rng(0).random((8, 15, 15)) < 0.1
 THREE = mazes.stack([mazes.load(name) for name in ("random", "g3", "spiral")])
-ROOM = "\n".join(["#" * 13, "#" + "S" * 11 + "#"] + ["#" + "S" * 11 + "#"] * 10 + ["#####1#######"])
+WIDE = "\n".join(
+    ["#" * 25]
+    + ["#" + "." * 23 + "#"] * 11
+    + ["#" + "." * 11 + "S" + "." * 11 + "1"]
+    + ["#" + "." * 23 + "#"] * 11
+    + ["#" * 25]
+)
 
 
 def make(maze, *, sigma=0.3, reward="sparse", **movement):
@@ -26,21 +32,15 @@ def make(maze, *, sigma=0.3, reward="sparse", **movement):
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def rollout(env, keys, actions):
-    """Steps one environment per key through actions [T, B]; returns states with axes [T, B]."""
+def rollout(env, maze, actions):
+    """Steps one environment per row of `maze` [B] through actions [T, B]; states are [T, B]."""
 
     def step(state, action):
         following = jax.vmap(env.step)(state, action)
         return following, following
 
-    first = jax.vmap(env.reset)(keys)
+    first = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), len(maze)), maze)
     return first, jax.lax.scan(step, first, actions)[1]
-
-
-def random_actions(num_steps, num_envs, seed=0):
-    return jnp.asarray(
-        np.random.default_rng(seed).integers(4, size=(num_steps, num_envs)), jnp.int32
-    )
 
 
 def move_slowly(wall, xy, displacement, movement):
@@ -78,10 +78,10 @@ def test_movement_agrees_with_a_slow_one_that_tests_the_whole_body():
 
 @pytest.fixture(scope="module")
 def walks():
-    """First states and states of 100 random decisions of 100 robots in three mazes."""
+    """First states and states of 100 random decisions of 99 robots in three mazes."""
     env = make(THREE, sigma=0.6, body_radius=0.75)
-    keys = jax.random.split(jax.random.key(1), 100)
-    return env, *rollout(env, keys, random_actions(100, 100))
+    actions = np.random.default_rng(0).integers(4, size=(100, 99))
+    return env, *rollout(env, jnp.arange(99) % 3, jnp.asarray(actions, jnp.int32))
 
 
 def test_the_body_never_enters_a_wall_nor_leaves_the_grid(walks):
@@ -94,7 +94,7 @@ def test_the_body_never_enters_a_wall_nor_leaves_the_grid(walks):
 
 def test_a_batch_holds_different_mazes(walks):
     _, first, states = walks
-    assert len(np.unique(first.inner.nav.maze)) == 3
+    assert (first.inner.nav.maze == jnp.arange(99) % 3).all()
     assert (states.inner.nav.maze == first.inner.nav.maze[None]).all()
 
 
@@ -102,7 +102,9 @@ def test_postures_are_drawn_uniformly_for_every_decision_and_shown(walks):
     _, _, states = walks
     posture = np.asarray(states.inner.posture)
     counts = np.bincount(posture.ravel(), minlength=8)
-    assert ((counts - 1250) ** 2 / 1250).sum() < 24.4  # chi-square of 7, once in a thousand
+    assert (
+        (counts - 9900 / 8) ** 2 / (9900 / 8)
+    ).sum() < 24.4  # chi-square of 7, once in a thousand
     assert (posture[1:] == posture[:-1]).mean() == pytest.approx(1 / 8, abs=0.02)
     assert (np.asarray(states.obs)[..., 2] == SILHOUETTES[posture]).all()
 
@@ -117,32 +119,63 @@ def test_observation_and_metrics_fit_the_state(walks):
     assert (states.metrics["success"][-1] == expected).all()
 
 
-def test_without_noise_a_decision_moves_one_cell():
-    env = make(mazes.parse(ROOM, start_jitter=0.0), sigma=0.0)
-    keys = jax.random.split(jax.random.key(0), 40)
-    first, states = rollout(env, keys, jnp.tile(jnp.arange(4, dtype=jnp.int32), 10)[None])
-    moved = states.inner.xy[0] - first.inner.xy
-    wanted = 3.0 * jnp.tile(jnp.array(base.DIRECTIONS_XY), (10, 1))
-    is_far = (jnp.abs(first.inner.xy - jnp.array([[19.5, -19.5]])) < 14).all(-1)
-    assert is_far.sum() > 20
-    assert jnp.where(is_far[:, None], moved - wanted, 0.0) == pytest.approx(0.0, abs=1e-5)
+@pytest.fixture(scope="module")
+def still():
+    """States of six decisions without noise: four ways, a corridor, and against a wall."""
+    corridor = mazes.parse("#######\n#S.1.2#\n#######", num_decisions=9)
+    parts = [mazes.parse(WIDE), corridor, mazes.load("g1", num_decisions=3)]
+    env = make(mazes.stack(parts), sigma=0.0)
+    ways = [[d] * 6 for d in range(4)] + [[EAST, EAST, WEST, EAST, EAST, EAST], [SOUTH] * 6]
+    return rollout(env, jnp.array([0, 0, 0, 0, 1, 2]), jnp.array(ways, jnp.int32).T)
 
 
-def test_noise_has_its_standard_deviation_on_both_axes_and_is_fresh():
-    text = "\n".join(["#" * 25] + ["#" + "." * 23 + "#"] * 23 + ["#1#######################"])
-    middle = text.splitlines()
-    middle[12] = "#" + "." * 11 + "S" + "." * 11 + "#"
-    env = make(mazes.parse("\n".join(middle)), sigma=0.3)
-    num_envs = 1500
-    first, states = rollout(
-        env, jax.random.split(jax.random.key(0), num_envs), jnp.full((2, num_envs), NORTH)
-    )
+def test_without_noise_a_decision_moves_one_cell(still):
+    first, states = still
+    xy = jnp.concatenate([first.inner.xy[None], states.inner.xy])[:, :4]
+    expected = np.tile(3.0 * np.array(base.DIRECTIONS_XY), (6, 1, 1))
+    assert jnp.diff(xy, axis=0) == pytest.approx(expected, abs=1e-4)
+
+
+def test_an_episode_pays_each_goal_once_and_ends_with_the_last(still):
+    states = jax.tree.map(lambda leaf: leaf[:, 4], still[1])
+    assert states.reward.tolist() == [0, 1, 0, 0, 0, 1]
+    assert states.terminated.tolist() == [False] * 5 + [True]
+    assert not states.truncated.any()
+    assert states.metrics["success"].tolist() == [0, 0.5, 0.5, 0.5, 0.5, 1]
+    assert states.metrics["return"].tolist() == [0, 1, 1, 1, 1, 2]
+    assert states.metrics["decisions"].tolist() == [1, 2, 3, 4, 5, 6]
+
+
+def test_the_time_limit_truncates(still):
+    states = jax.tree.map(lambda leaf: leaf[:3, 5], still[1])
+    assert states.truncated.tolist() == [False, False, True]
+    assert not states.terminated.any()
+    assert (states.metrics["success"] == 0).all()
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """First states and states of two decisions to the north of 1500 robots, dense reward."""
+    env = make(mazes.parse(WIDE), sigma=0.3, reward="dense")
+    return rollout(env, jnp.zeros(1500, jnp.int32), jnp.full((2, 1500), NORTH))
+
+
+def test_noise_has_its_standard_deviation_on_both_axes_and_is_fresh(noisy):
+    first, states = noisy
     xy = jnp.concatenate([first.inner.xy[None], states.inner.xy])
     noise = np.asarray(jnp.diff(xy, axis=0) - jnp.array([[[0.0, 3.0]]]))
     assert noise.mean((0, 1)) == pytest.approx(0.0, abs=0.02)
     assert noise.std((0, 1)) == pytest.approx(0.3, rel=0.05)
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.05
     assert abs(np.corrcoef(noise[..., 0].ravel(), noise[..., 1].ravel())[0, 1]) < 0.05
+
+
+def test_dense_reward(noisy):
+    _, states = noisy
+    offset = np.asarray(states.inner.xy) - [73.5, -37.5]
+    expected = 1 / (1 + np.hypot(offset[..., 0], offset[..., 1]))
+    assert states.reward == pytest.approx(expected, rel=1e-5)
+    assert states.metrics["return"][-1] == pytest.approx(expected.sum(0), rel=1e-5)
 
 
 def move(env, xy, displacement):
@@ -168,47 +201,14 @@ def test_a_body_fits_through_a_door_and_stops_behind_it():
     assert path[-1, 1] == pytest.approx(-1.5, abs=0.01)
 
 
-def test_an_episode_pays_each_goal_once_and_ends_with_the_last():
-    env = make(mazes.parse("#######\n#S.1.2#\n#######", num_decisions=9), sigma=0.0)
-    actions = jnp.stack([EAST, EAST, WEST, EAST, EAST, EAST])[:, None]
-    _, states = rollout(env, jax.random.split(jax.random.key(0), 1), actions)
-    assert states.reward[:, 0].tolist() == [0, 1, 0, 0, 0, 1]
-    assert states.terminated[:, 0].tolist() == [False] * 5 + [True]
-    assert not states.truncated.any()
-    assert states.metrics["success"][:, 0].tolist() == [0, 0.5, 0.5, 0.5, 0.5, 1]
-    assert states.metrics["return"][:, 0].tolist() == [0, 1, 1, 1, 1, 2]
-    assert states.metrics["decisions"][:, 0].tolist() == [1, 2, 3, 4, 5, 6]
-
-
-def test_the_time_limit_truncates():
-    env = make(mazes.load("g1", num_decisions=3))
-    actions = jnp.full((3, 4), SOUTH)
-    _, states = rollout(env, jax.random.split(jax.random.key(0), 4), actions)
-    assert states.truncated[:, 0].tolist() == [False, False, True]
-    assert not states.terminated.any()
-    assert (states.metrics["success"] == 0).all()
-
-
-def test_dense_reward_of_every_step():
-    env = make("g3", reward="dense")
-    _, states = rollout(env, jax.random.split(jax.random.key(0), 8), random_actions(6, 8))
-    goal_xy = jnp.array([[[13.5, -1.5]]])
-    distance = jnp.sqrt(((states.inner.xy - goal_xy) ** 2).sum(-1))
-    is_open = ~jnp.cumsum(states.terminated, 0).astype(bool)
-    assert jnp.where(is_open, states.reward, 0.0) == pytest.approx(
-        np.asarray(jnp.where(is_open, 1 / (1 + distance), 0.0)), rel=1e-5
-    )
-
-
-def test_the_same_key_gives_the_same_episode_alone_and_in_a_batch():
-    env = make("random")
-    keys = jax.random.split(jax.random.key(3), 3)
-    _, states = rollout(env, keys, jnp.full((2, 3), EAST))
-    step = jax.jit(env.step)
-    alone = step(step(env.reset(keys[1]), EAST), EAST)
-    assert alone.inner.xy == pytest.approx(np.asarray(states.inner.xy[1, 1]), abs=1e-5)
-    assert (alone.obs == states.obs[1, 1]).mean() > 0.99
-    assert (jax.random.key_data(alone.key) == jax.random.key_data(states.key[1, 1])).all()
+def test_a_step_alone_is_a_step_in_a_batch(walks):
+    env, _, states = walks
+    before, after = (jax.tree.map(lambda leaf, t=t: leaf[t, 5], states) for t in (3, 4))
+    action = np.random.default_rng(0).integers(4, size=(100, 99))[4, 5]
+    alone = jax.jit(env.step)(before, jnp.int32(action))
+    assert alone.inner.xy == pytest.approx(np.asarray(after.inner.xy), abs=1e-5)
+    assert (alone.obs == after.obs).all()
+    assert (jax.random.key_data(alone.key) == jax.random.key_data(after.key)).all()
 
 
 @pytest.mark.parametrize(

@@ -77,12 +77,18 @@ def test_codes_agree_with_the_drawn_maze():
     nav, _ = starts(course, 40)
     rng = np.random.default_rng(0)
     xy = jnp.asarray(rng.uniform(-5, 75, (40, 50, 2)) * [1, -1], jnp.float32)
-    codes = jax.vmap(task.code_at, (None, 0, 0))(course, nav, xy)
-    drawn = jax.vmap(task.drawn_maze, (None, 0))(course, nav)
-    of_points = jax.vmap(jax.vmap(maze_lib.is_wall, (None, 0)))(drawn, xy)
-    assert ((codes == maze_lib.WALL) == of_points).all()
-    goals = jax.vmap(jax.vmap(maze_lib.goal_at, (None, 0)))(drawn, xy)
-    assert (jnp.where(of_points, 0, codes.astype(jnp.int32)) == goals).all()
+
+    @jax.jit
+    @jax.vmap
+    def look_up(nav, xy):
+        drawn = task.drawn_maze(course, nav)
+        is_wall = jax.vmap(maze_lib.is_wall, (None, 0))(drawn, xy)
+        goal = jax.vmap(maze_lib.goal_at, (None, 0))(drawn, xy)
+        return task.code_at(course, nav, xy), is_wall, goal
+
+    codes, is_wall, goal = map(np.asarray, look_up(nav, xy))
+    assert ((codes == maze_lib.WALL) == is_wall).all()
+    assert (np.where(is_wall, 0, codes) == goal).all()
 
 
 def test_a_goal_pays_once_in_any_order_and_the_last_terminates():
