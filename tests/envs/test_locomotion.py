@@ -1,6 +1,7 @@
 """The low level's task: its reward, its symmetry, its subgoals and its guard."""
 
 import dataclasses
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -156,7 +157,7 @@ def test_stored_step_relabelled_pays_as_if_the_other_direction_had_been_asked(po
     env = _env(point_engine, lateral_weight=0.5, stops_at_cell=True)
     options = low_config.LowReward(lateral_weight=0.5, stops_at_cell=True)
     states = _drive(env, lambda state: 2, 25)
-    for before, after in zip(states[:-1], states[1:], strict=True):
+    for before, after in itertools.pairwise(states):
         ctrl = jnp.array(base.DIRECTIONS_XY[2])
         stored = locomotion.experience(before, ctrl, after)
         same = locomotion.relabel(stored, before.obs.direction)
