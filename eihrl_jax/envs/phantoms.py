@@ -55,7 +55,7 @@ def rectangle(draws: Array, view: raster.View) -> Bool[Array, "P P"]:
     cell = base.CELL / view.pitch
     size = cell * (1.0 + draws[:2])
     low = draws[2:] * (view.pixels + size) - size
-    centres = jnp.arange(view.pixels) + 0.5
+    centres = jnp.arange(view.pixels, dtype=jnp.float32) + 0.5
     is_row, is_column = (
         (centres >= low[axis]) & (centres < low[axis] + size[axis]) for axis in (0, 1)
     )

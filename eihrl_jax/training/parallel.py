@@ -5,6 +5,7 @@ cores (`use_cpu_cores`) every core runs its own share of the workers.
 """
 
 import os
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -14,14 +15,15 @@ from jaxtyping import Array, Float
 from eihrl_jax import base
 from eihrl_jax.agents import peg_a2c
 
-
+_ALIKE = cast(Any, PartitionSpec())
+_PER_WORKER = cast(Any, PartitionSpec(peg_a2c.AXIS))
 SPECS = peg_a2c.LearnerState(
-    params=PartitionSpec(),
-    opt_state=PartitionSpec(),
-    env_state=PartitionSpec(peg_a2c.AXIS),
-    keys=PartitionSpec(peg_a2c.AXIS),
-    num_updates=PartitionSpec(),
-    num_decisions=PartitionSpec(),
+    params=_ALIKE,
+    opt_state=_ALIKE,
+    env_state=_PER_WORKER,
+    keys=_PER_WORKER,
+    num_updates=_ALIKE,
+    num_decisions=_ALIKE,
 )
 """Which parts of a learner's state are spread over devices: what belongs to one worker."""
 

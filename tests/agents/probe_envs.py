@@ -27,11 +27,11 @@ class Kind(enum.IntEnum):
     ACTION = 3
     """One step, reward 1 for action 2: V = 1 for the best policy."""
     CUE_AND_ACTION = 4
-    """One step, reward 1 for action 0 at cue -1 and action 1 at cue 1: V = 1 for the best policy."""
+    """One step, reward 1 for action 0 at cue -1 and 1 at cue 1: V = 1 for the best policy."""
     ENDED = 5
     """Reward 1 for each of two steps that look alike, then the end: V = 1 + gamma / 2, the mean."""
     CUT = 6
-    """The same, but a time limit: V = 1 / (1 - gamma) for those who look beyond it, else ENDED's."""
+    """The same, but a time limit: V = 1 / (1 - gamma) for who looks beyond it, else as ENDED."""
 
 
 TWO_STEPS = (Kind.DELAY, Kind.ENDED, Kind.CUT)

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.agents import probe_envs
-from tests.agents.probe_envs import Kind
 
 from eihrl_jax.agents import peg_a2c
 from eihrl_jax.config import high
 from eihrl_jax.envs import wrappers
 from eihrl_jax.training import parallel
+from tests.agents import probe_envs
+from tests.agents.probe_envs import Kind
 
 GAMMA = 0.5
 NUM_WORKERS = 64

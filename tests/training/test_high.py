@@ -1,0 +1,105 @@
+"""The training loop of the high level: run folder, resume, policy, bad options."""
+
+import dataclasses
+import json
+import shutil
+
+import jax
+import numpy as np
+import pytest
+
+from eihrl_jax import base, config, policies, presets
+from eihrl_jax.config import high as high_config
+from eihrl_jax.training import high
+
+
+def tiny(run, **options):
+    """Returns a run of a few updates."""
+    task = high_config.Task(robot="point", phantom_walls=0.5)
+    network = high_config.Network(tile_features=2, hidden=(4,))
+    learner = high_config.Learner(num_workers=8, window=12, num_updates=6, optimiser="adam")
+    intervals = {"log_every": 2, "evaluate_every": 4, "num_eval_episodes": 4, "checkpoint_every": 2}
+    return high_config.HighConfig(
+        run=run, task=task, network=network, learner=learner, **intervals | options
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Returns the folder of a finished run."""
+    path = tmp_path_factory.mktemp("high") / "run"
+    high.train(tiny(path))
+    return path
+
+
+def test_run_folder_has_metrics_and_a_policy(finished):
+    lines = (finished / "metrics.csv").read_text().splitlines()
+    header, rows = lines[0].split(","), [line.split(",") for line in lines[1:]]
+    table = {name: [row[i] for row in rows] for i, name in enumerate(header)}
+    assert table["step"] == ["2", "4", "6"]
+    assert table["num_decisions"] == ["192.0", "384.0", "576.0"]
+    assert table["eval/success"][0] == "" and 0.0 <= float(table["eval/success"][2]) <= 1.0
+    params, meta = policies.load(policies.find(finished, "high"), kind="high")
+    assert meta["view"] == {"extent": 9.0, "pixels": 15}
+    assert meta["network"] == {"tile": 5, "tile_features": 2, "hidden": [4]}
+    assert meta["num_updates"] == 6 and meta["num_decisions"] == 576
+    assert params["params"]["logits"]["kernel"].shape == (4, 4)
+
+
+def test_resumed_run_equals_the_uninterrupted_one(finished, tmp_path):
+    resumed = tmp_path / "resumed"
+    shutil.copytree(finished, resumed)
+    shutil.rmtree(resumed / policies.FOLDER)
+    shutil.rmtree(resumed / "checkpoints" / f"{6:012d}")
+    high.train(tiny(resumed, resume=True))
+    assert (resumed / "metrics.csv").read_text() == (finished / "metrics.csv").read_text()
+    left, right = (
+        policies.load(path / policies.FOLDER, kind="high")[0] for path in (resumed, finished)
+    )
+    jax.tree.map(np.testing.assert_array_equal, left, right)
+
+
+def test_summary_divides_by_episodes_or_by_updates():
+    metrics = {
+        "decisions": np.array([16.0, 16.0]),
+        "episodes": np.array([1.0, 3.0]),
+        "sum_success": np.array([1.0, 1.0]),
+        "entropy": np.array([1.0, 0.5]),
+    }
+    assert high.summarise(metrics) == {"success": 0.5, "entropy": 0.75}
+    none = metrics | {"episodes": np.zeros(2), "sum_success": np.zeros(2)}
+    assert np.isnan(high.summarise(none)["success"])
+
+
+@pytest.mark.parametrize("name", presets.HIGH)
+def test_presets_build_and_come_back_from_json(name):
+    preset = presets.HIGH[name]
+    assert preset.preset == name
+    text = config.to_json(preset)
+    assert config.from_json(high_config.HighConfig, text) == preset
+    assert json.loads(text)["learner"]["window"] == preset.learner.window
+
+
+def test_window_longer_than_an_episode(tmp_path):
+    options = tiny(tmp_path)
+    env = high.make_env(options.task)
+    learner = dataclasses.replace(options.learner, window=25)
+    with pytest.raises(base.UserError, match="window = 25 must be at least 1 and at most 24"):
+        high.make_agent(env, dataclasses.replace(options, learner=learner))
+
+
+@pytest.mark.parametrize(
+    ("part", "options", "message"),
+    [
+        (high_config.Learner, {"gamma": 1.5}, "gamma = 1.5"),
+        (high_config.Learner, {"num_workers": 0}, "num_workers = 0"),
+        (high_config.Learner, {"optimiser": "sgd"}, "optimiser = 'sgd'"),
+        (high_config.Task, {"sigma": -0.1}, "sigma = -0.1"),
+        (high_config.Task, {"phantom_walls": 1.1}, "phantom_walls = 1.1"),
+        (high_config.HighConfig, {"log_every": 7}, "log_every = 7 must divide num_updates"),
+        (high_config.HighConfig, {"network": high_config.Network(tile=4)}, "tile = 4 must divide"),
+    ],
+)
+def test_options_out_of_range(part, options, message):
+    with pytest.raises(base.UserError, match=message):
+        part(**options)
