@@ -2,7 +2,8 @@
 
 One run goes through undisturbed. Each of the others gets SIGKILL at a moment drawn uniformly from
 the time that the first one took, and is then resumed to its end. Its final parameters have to equal
-those of the first run bit for bit, and so has its metrics.csv.
+those of the first run bit for bit, and so has its metrics.csv. Other code trains other parameters, so
+leave the sources alone meanwhile.
 """
 
 import csv
@@ -10,6 +11,7 @@ import dataclasses
 import pathlib
 import random
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -29,8 +31,8 @@ SHORT = {
         "--checkpoint-every 200 --num-iterations 2000"
     ),
     "high": (
-        "--learner.num-updates 2000 --learner.num-workers 16 --num-eval-episodes 16 "
-        "--log-every 10 --evaluate-every 100 --checkpoint-every 100"
+        "--learner.num-updates 8000 --learner.num-workers 16 --num-eval-episodes 16 "
+        "--log-every 20 --evaluate-every 200 --checkpoint-every 200"
     ),
 }
 """Options of a run that takes seconds and checkpoints all the time."""
@@ -75,7 +77,10 @@ def run(options: Options) -> None:
     for index in range(options.kills):
         folder = options.run / f"killed-{index:02d}"
         moment = moments.uniform(0.0, duration)
-        state = _kill(options, folder, moment)
+        while not _kill(options, folder, moment):
+            shutil.rmtree(folder)
+            moment = moments.uniform(0.0, moment)
+        state = _state(folder)
         _finish(options, folder)
         difference = _difference(options, folder)
         differences.append(difference)
@@ -99,8 +104,8 @@ def _finish(options: Options, folder: pathlib.Path) -> None:
         raise base.UserError(f"{folder} can't be finished: {reason[0].removeprefix('error: ')}")
 
 
-def _kill(options: Options, folder: pathlib.Path, moment: float) -> str:
-    """Starts a run and kills it after `moment` seconds; returns how far it was."""
+def _kill(options: Options, folder: pathlib.Path, moment: float) -> bool:
+    """Starts a run and kills it after `moment` seconds; returns false where it ended before."""
     process = subprocess.Popen(
         _command(options, folder), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
@@ -108,7 +113,11 @@ def _kill(options: Options, folder: pathlib.Path, moment: float) -> str:
         process.wait(moment)
     except subprocess.TimeoutExpired:
         process.kill()
-        process.wait()
+    return process.wait() < 0
+
+
+def _state(folder: pathlib.Path) -> str:
+    """Says how far a killed run was."""
     saved = sorted(path.name for path in (folder / "checkpoints").glob("[0-9]*"))
     is_saving = any((folder / "checkpoints").glob(".*"))
     state = f"last checkpoint {int(saved[-1])}" if saved else "no checkpoint yet"
