@@ -2,8 +2,8 @@
 
 One run goes through undisturbed. Each of the others gets SIGKILL at a moment drawn uniformly from
 the time that the first one took, and is then resumed to its end. Its final parameters have to equal
-those of the first run bit for bit, and so has its metrics.csv. Other code trains other parameters, so
-leave the sources alone meanwhile.
+those of the first run bit for bit, and so has its metrics.csv. Other code trains other parameters,
+so leave the sources alone meanwhile.
 """
 
 import csv
