@@ -31,7 +31,7 @@ SHORT = {
         "--checkpoint-every 200 --num-iterations 2000"
     ),
     "high": (
-        "--learner.num-updates 8000 --learner.num-workers 16 --num-eval-episodes 16 "
+        "--learner.num-updates 4000 --learner.num-workers 16 --num-eval-episodes 16 "
         "--log-every 20 --evaluate-every 200 --checkpoint-every 200"
     ),
 }
