@@ -1,10 +1,10 @@
 """Measurements of the physics engines for `experiments.benchmark`; ratios, never limits.
 
-Times that are compared are taken in turns, and the median of the ratios counts, so that whatever
-else the machine does meets both sides alike.
+Times that are compared are taken in turns, and the shortest of each side counts: whatever else the
+machine does can only lengthen them.
 """
 
-import statistics
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -20,7 +20,7 @@ from eihrl_jax.physics import scene, walls
 
 
 def interface_ratio(
-    num_envs: int = 1024, num_steps: int = 20, repeats: int = 7
+    num_envs: int = 1024, num_steps: int = 20, repeats: int = 15
 ) -> dict[str, float]:
     """Compares the batched C engine behind our interface with `mujoco.batch` alone.
 
@@ -33,7 +33,7 @@ def interface_ratio(
       repeats: measurements of each side.
 
     Returns:
-      `ours` and `alone`, control steps per second (medians), and `ratio`, the median of ours/alone.
+      `ours` and `alone`, control steps per second, and `ratio`, ours/alone.
     """
     engine = engine_lib.make(robots.load("ant"), "mujoco")
     parked = jnp.broadcast_to(jnp.array(scene.PARKED_XY), (num_envs, engine.robot.num_walls, 2))
@@ -57,15 +57,11 @@ def interface_ratio(
 
     ours, theirs = _in_turns(lambda: roll(start, ctrls), run_alone, repeats)
     count = num_envs * num_steps
-    return {
-        "ours": count / statistics.median(ours),
-        "alone": count / statistics.median(theirs),
-        "ratio": statistics.median(b / a for a, b in zip(ours, theirs, strict=True)),
-    }
+    return {"ours": count / ours, "alone": count / theirs, "ratio": theirs / ours}
 
 
 def maze_cost_ratio(
-    engine_name: str, num_envs: int = 256, num_steps: int = 10, repeats: int = 9
+    engine_name: str, num_envs: int = 256, num_steps: int = 10, repeats: int = 15
 ) -> dict[str, float]:
     """Compares the cost of a control step in the Spiral with that in the Random Square.
 
@@ -78,8 +74,8 @@ def maze_cost_ratio(
       repeats: measurements of each side.
 
     Returns:
-      `spiral` and `random`, microseconds per control step of one ant (medians), and `ratio`, the
-      median of spiral/random.
+      `spiral` and `random`, microseconds per control step of one ant (on a CPU: of all its cores'
+      time together), and `ratio`, spiral/random.
     """
     engine = engine_lib.make(robots.load("ant"), engine_name)
     ctrls = _random_ctrls(engine, num_steps, num_envs)
@@ -90,13 +86,10 @@ def maze_cost_ratio(
         start = _standing(engine, jax.vmap(mazes.maze.draw_start, in_axes=(None, 0))(maze, keys))
         roll = jax.jit(lambda state, maze=maze: _roll(engine, maze, state, ctrls)[0])
         runs.append(lambda roll=roll, start=start: roll(start))
-    spiral, random = _in_turns(runs[0], runs[1], repeats)
+    clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
+    spiral, random = _in_turns(runs[0], runs[1], repeats, clock)
     unit = 1e6 / (num_envs * num_steps)
-    return {
-        "spiral": unit * statistics.median(spiral),
-        "random": unit * statistics.median(random),
-        "ratio": statistics.median(a / b for a, b in zip(spiral, random, strict=True)),
-    }
+    return {"spiral": unit * spiral, "random": unit * random, "ratio": spiral / random}
 
 
 def engine_deviations(num_envs: int = 16, num_steps: int = 50) -> list[dict[str, Any]]:
@@ -197,14 +190,17 @@ def _random_ctrls(engine: engine_lib.Engine, num_steps: int, num_envs: int) -> j
 
 
 def _in_turns(
-    first: Callable[[], Any], second: Callable[[], Any], repeats: int
-) -> tuple[list[float], list[float]]:
-    """Times two functions alternately, after one call of each that compiles; seconds."""
-    times: tuple[list[float], list[float]] = ([], [])
+    first: Callable[[], Any],
+    second: Callable[[], Any],
+    repeats: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> tuple[float, float]:
+    """Returns the shortest times of two functions called alternately, compilation left out; s."""
     jax.block_until_ready((first(), second()))
+    shortest = [math.inf, math.inf]
     for _ in range(repeats):
-        for function, taken in zip((first, second), times, strict=True):
-            begin = time.perf_counter()
+        for i, function in enumerate((first, second)):
+            begin = clock()
             jax.block_until_ready(function())
-            taken.append(time.perf_counter() - begin)
-    return times
+            shortest[i] = min(shortest[i], clock() - begin)
+    return shortest[0], shortest[1]
