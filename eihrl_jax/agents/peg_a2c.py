@@ -177,7 +177,9 @@ class PegA2C:
             return self.collect_episode(params, key)
         env_state, cut_obs, decisions = self._decide(params, env_state, key)
         _, end_value = self._forward(params, env_state.obs)
-        _, cut_value = self._forward(params, cut_obs)
+        cut_value = jnp.float32(0.0)
+        if self.learner.looks_beyond_limit:
+            _, cut_value = self._forward(params, cut_obs)
         return env_state, self._batch(decisions, end_value, cut_value), _counts(decisions)
 
     def collect_episode(
@@ -238,6 +240,7 @@ class PegA2C:
           Its environment, the last observation at which a time limit fell, and the decisions.
         """
         has_window = self.learner.window is not None
+        looks_beyond = has_window and self.learner.looks_beyond_limit
 
         def decide(carry, step_key):
             env_state, is_running, cut_obs = carry
@@ -255,10 +258,13 @@ class PegA2C:
                 metrics=following.metrics,
             )
             is_running &= has_window | ~(following.terminated | following.truncated)
-            cut_obs = _where(following.truncated, following.final_obs, cut_obs)
+            if looks_beyond:
+                cut_obs = _where(following.truncated, following.final_obs, cut_obs)
+            else:  # Nobody looks at it, so that XLA need not draw it.
+                following = following.replace(final_obs=following.obs)
             return (following, is_running, cut_obs), decision
 
-        start = (env_state, jnp.bool_(True), env_state.obs)
+        start = (env_state, jnp.array(True), env_state.obs if looks_beyond else None)
         (env_state, _, cut_obs), decisions = jax.lax.scan(
             decide, start, jax.random.split(key, self.horizon)
         )

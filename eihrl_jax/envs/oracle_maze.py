@@ -161,6 +161,11 @@ class OracleMaze:
         )
         return self._state(inner, outcome, next_key)
 
+    def observe(self, inner: Oracle) -> Bool[Array, "P P 3"]:
+        """Draws what the high level sees."""
+        silhouette = self._silhouettes[inner.posture]
+        return task.observe(self.course, inner.nav, inner.xy, silhouette, self.view)
+
     def move(
         self,
         nav: task.Navigation,
@@ -205,8 +210,7 @@ class OracleMaze:
 
     def _state(self, inner: Oracle, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
         """Puts together what `reset` and `step` return."""
-        silhouette = self._silhouettes[inner.posture]
-        obs = task.observe(self.course, inner.nav, inner.xy, silhouette, self.view)
+        obs = self.observe(inner)
         return base.EnvState(
             inner=inner,
             obs=obs,

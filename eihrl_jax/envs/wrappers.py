@@ -1,6 +1,8 @@
 """Wrappers of environments."""
 
 import dataclasses
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +20,12 @@ class AutoReset:
 
     Attributes:
       env: the environment.
+      observe: draws the observation of an inner state. Where it is given and nobody looks at
+        `final_obs`, one observation is drawn per step instead of two.
     """
 
     env: base.Environment
+    observe: Callable[[Any], Any] | None = None
 
     def reset(self, key: Key[Array, ""]) -> base.EnvState:
         """Draws a new episode; the key is consumed."""
@@ -36,9 +41,10 @@ class AutoReset:
             (fresh.inner, fresh.obs, fresh.key),
             (ended.inner, ended.obs, ended.key),
         )
+        obs = obs if self.observe is None else self.observe(inner)
         return ended.replace(inner=inner, obs=obs, key=key)
 
 
-def auto_reset(env: base.Environment) -> AutoReset:
+def auto_reset(env: base.Environment, observe: Callable[[Any], Any] | None = None) -> AutoReset:
     """Wraps an environment so that a new episode begins right after one has ended."""
-    return AutoReset(env)
+    return AutoReset(env, observe)

@@ -114,7 +114,7 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
     if window is not None:
         # A longer window could be cut by the time limit twice.
         checks.in_range("window", window, 1, limit)
-        trained_in = wrappers.auto_reset(env)
+        trained_in = wrappers.auto_reset(env, env.observe)
     if config.task.phantom_walls > 0.0:
         trained_in = phantoms.PhantomWalls(
             env=trained_in, view=env.view, probability=config.task.phantom_walls
@@ -195,7 +195,7 @@ def _finish(
             "robot": config.task.robot,
             "view": {"extent": config.task.extent, "pixels": config.task.pixels},
             "network": dataclasses.asdict(config.network),
-            "config": dataclasses.asdict(config),
+            "config": dataclasses.asdict(config.task) | dataclasses.asdict(config.learner),
             "num_updates": int(state.num_updates),
             "num_decisions": int(state.num_decisions),
             "versions": versions.describe(),

@@ -11,18 +11,22 @@ NUM_ENVS, NUM_STEPS = 32, 12
 
 @pytest.fixture(scope="module")
 def rollouts():
-    """The wrapped environment's states before and after steps, and what the plain one would do."""
+    """Returns states before and after steps, what the plain environment would do, and what is seen.
+
+    The last is drawn by the plain environment's own steps and resets.
+    """
     plain = oracle_maze.OracleMaze(
         mazes.load("random", num_decisions=4),
         jnp.asarray(np.random.default_rng(0).random((8, 15, 15)) < 0.1),
         view=raster.View(),
         movement=oracle_maze.Movement(),
     )
-    env = wrappers.auto_reset(plain)
+    env = wrappers.auto_reset(plain, plain.observe)
 
     def step(state, action):
         following = jax.vmap(env.step)(state, action)
-        return following, (state, following, jax.vmap(plain.step)(state, action))
+        drawn = jax.vmap(wrappers.auto_reset(plain).step)(state, action).obs
+        return following, (state, following, jax.vmap(plain.step)(state, action), drawn)
 
     @jax.jit
     def run(keys, actions):
@@ -33,7 +37,8 @@ def rollouts():
 
 
 def test_auto_reset(rollouts):
-    before, states, plain = rollouts
+    before, states, plain, drawn = rollouts
+    np.testing.assert_array_equal(states.obs, drawn)
     is_done = np.asarray(states.terminated | states.truncated)
     assert is_done.sum() >= NUM_ENVS * NUM_STEPS / 4
 
@@ -65,6 +70,6 @@ def test_auto_reset(rollouts):
 
 
 def test_every_step_of_every_environment_has_its_own_key(rollouts):
-    _, states, _ = rollouts
+    states = rollouts[1]
     words = np.asarray(jax.random.key_data(states.key)).reshape(-1, 2)
     assert len(np.unique(words, axis=0)) == NUM_ENVS * NUM_STEPS
