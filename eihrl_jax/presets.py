@@ -78,8 +78,8 @@ def high_best() -> high_config.HighConfig:
         learner=high_config.Learner(
             num_workers=512,
             window=8,
-            num_updates=2_800,
-            gamma=0.97,
+            num_updates=2_200,
+            gamma=0.94,
             optimiser="adam",
             learning_rate=2.5e-3,
             learning_rate_end=1e-4,

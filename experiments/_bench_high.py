@@ -16,7 +16,10 @@ from eihrl_jax.training import high, parallel
 MAZES = ("random", "g1", "g2", "g3")
 
 WIDE_VIEW = {"extent": 15.0, "pixels": 25}
-"""The larger view of the issue of view sizes: five cells instead of three, as fine."""
+"""A larger view: five cells instead of three, with pixels of the same size."""
+
+WIDE_UPDATES = 800
+"""Updates with the larger view, whose decisions cost more, in about a minute on two cores."""
 
 
 def decisions_per_second(num_updates: int = 500, repeats: int = 5) -> dict[str, float]:
@@ -75,7 +78,11 @@ def _train_and_test(folder: pathlib.Path, seed: int, is_wide: bool) -> dict[str,
 
 
 def _widen(config: high_config.HighConfig) -> high_config.HighConfig:
-    return dataclasses.replace(config, task=dataclasses.replace(config.task, **WIDE_VIEW))
+    return dataclasses.replace(
+        config,
+        task=dataclasses.replace(config.task, **WIDE_VIEW),
+        learner=dataclasses.replace(config.learner, num_updates=WIDE_UPDATES),
+    )
 
 
 def full_episodes_seconds(folder: pathlib.Path, high_level: str) -> dict[str, float]:

@@ -88,7 +88,7 @@ def test_features_do_not_change_when_the_world_turns(robot, direction):
     proprioception = np.array(obs.proprioception)
     if robot.root == "free":
         proprioception[1:5] /= np.linalg.norm(proprioception[1:5])
-        obs = obs.replace(proprioception=jnp.float32(proprioception))
+        obs = obs.replace(proprioception=jnp.float32(proprioception.copy()))
         # The inverse of a turn by one direction is the turn by its mirror image.
         inverse = jnp.int32((0, 1, 3, 2)[direction])
         quat = rotations.quaternion_to_direction_frame(obs.proprioception[1:5], inverse)
