@@ -170,8 +170,8 @@ class PegA2C:
           Its environment, what to learn from, and the counts of `update`.
 
         Source: paper, Algorithm 1, lines 7 to 14.
-        Differs from the paper: with a window a value stands for what lies beyond the window or
-          beyond the time limit.
+        Differs from the paper: with a window a value stands for what lies beyond the window and,
+          where the learner looks beyond it, beyond the time limit.
         """
         if self.learner.window is None:
             return self.collect_episode(params, key)

@@ -106,7 +106,8 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
     """Builds the learner of a maze.
 
     Raises:
-      base.UserError: the window is longer than an episode.
+      base.UserError: the window is longer than an episode, or there are more decisions than can be
+        counted.
     """
     limit = int(env.course.mazes.num_decisions.min())
     window = config.learner.window
@@ -119,7 +120,10 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
         trained_in = phantoms.PhantomWalls(
             env=trained_in, view=env.view, probability=config.task.phantom_walls
         )
-    return peg_a2c.PegA2C(trained_in, make_network(config), config.learner, window or limit)
+    agent = peg_a2c.PegA2C(trained_in, make_network(config), config.learner, window or limit)
+    most = (2**31 - 1) // decisions_per_update(agent)  # Decisions are counted in 32 bits.
+    checks.in_range("num_updates", config.learner.num_updates, 1, most)
+    return agent
 
 
 def make_network(config: high_config.HighConfig) -> patch_actor_critic.PatchActorCritic:
