@@ -106,6 +106,8 @@ def write(
     with _checkpointer() as checkpointer:
         checkpointer.save((hidden / "arrays").absolute(), tree)
     if jax.process_index() == 0:
+        # Orbax notes the folder it wrote to; a checkpoint is given away without its origin.
+        (hidden / "arrays" / "commit_success.txt").unlink(missing_ok=True)
         for name, text in (files or {}).items():
             (hidden / name).write_text(text)
         manifest = {"format": _FORMAT, "arrays": describe(tree), "files": _checksums(hidden)}
