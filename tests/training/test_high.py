@@ -8,7 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from eihrl_jax import base, config, policies, presets
+from eihrl_jax import base, policies, presets
+from eihrl_jax import config as config_lib
 from eihrl_jax.config import high as high_config
 from eihrl_jax.training import high
 
@@ -75,17 +76,23 @@ def test_summary_divides_by_episodes_or_by_updates():
 def test_presets_build_and_come_back_from_json(name):
     preset = presets.HIGH[name]
     assert preset.preset == name
-    text = config.to_json(preset)
-    assert config.from_json(high_config.HighConfig, text) == preset
+    text = config_lib.to_json(preset)
+    assert config_lib.from_json(high_config.HighConfig, text) == preset
     assert json.loads(text)["learner"]["window"] == preset.learner.window
 
 
-def test_window_longer_than_an_episode(tmp_path):
-    options = tiny(tmp_path)
-    env = high.make_env(options.task)
-    learner = dataclasses.replace(options.learner, window=25)
-    with pytest.raises(base.UserError, match="window = 25 must be at least 1 and at most 24"):
-        high.make_agent(env, dataclasses.replace(options, learner=learner))
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"window": 25}, "window = 25 must be at least 1 and at most 24"),
+        ({"num_updates": 30_000_000}, "num_updates = 30000000 must be .* at most 22369621"),
+    ],
+)
+def test_learner_that_does_not_fit_the_maze(tmp_path, options, message):
+    config = tiny(tmp_path)
+    learner = dataclasses.replace(config.learner, **options)
+    with pytest.raises(base.UserError, match=message):
+        high.make_agent(high.make_env(config.task), dataclasses.replace(config, learner=learner))
 
 
 @pytest.mark.parametrize(
