@@ -60,11 +60,12 @@ class MujocoEngine:
         fields = ("qpos", "qvel", "qacc_warmstart")
         for name in fields:
             view = rows.bind(name)
-            view[...] = np.reshape(getattr(state, name), view.shape)
-        ctrl_rows = np.reshape(ctrl, (rows.nsim, -1))
+            view[...] = np.asarray(getattr(state, name)).reshape(view.shape)
+        # NumPy from here on: indexing a JAX array would compile anew for every number of rows.
+        ctrl_rows = np.asarray(ctrl).reshape(rows.nsim, -1)
         moving = np.flatnonzero(np.isfinite(ctrl_rows).all(1))
         rows.bind("ctrl")[moving] = ctrl_rows[moving]
-        rows.bind("mocap_pos")[..., :2] = np.reshape(walls_xy, (rows.nsim, -1, 2))
+        rows.bind("mocap_pos")[..., :2] = np.asarray(walls_xy).reshape(rows.nsim, -1, 2)
         try:
             rows.step(ids=moving, nstep=self.robot.num_substeps)
         except mujoco_batch.SimulationError as error:
