@@ -67,7 +67,7 @@ def _new_folder(wanted: pathlib.Path | None) -> pathlib.Path:
       base.UserError: the folder that was asked for exists.
     """
     if wanted is None:
-        names = ("demo", *(f"demo-{i}" for i in itertools.count(2)))
+        names = itertools.chain(["demo"], (f"demo-{i}" for i in itertools.count(2)))
         return next(path for name in names if not (path := pathlib.Path("runs", name)).exists())
     if wanted.exists():
         raise base.UserError(f"run = {wanted} exists already; name a new folder")
