@@ -243,7 +243,7 @@ class _Runner:
         while not is_over.all():
             states, step = self._decide(states, high_keys, jnp.int32(len(history)))
             _count(count, step.trace, rows)
-            history.append(jax.tree.map(lambda leaf: np.asarray(leaf[recorded]), step))
+            history.append(jax.tree.map(lambda leaf: np.asarray(leaf)[recorded], step))
             is_over = np.asarray(states.terminated | states.truncated)[: len(rows)]
             self._report(states, limit, is_over)
         self._spent += int(limit.sum())
@@ -291,7 +291,7 @@ def _count(
 ) -> None:
     """Adds the positions of running episodes to the counts, in place."""
     is_running = np.asarray(trace.is_running)[: len(rows)]
-    xy = np.asarray(trace.qpos[: len(rows), :, :2])[is_running]
+    xy = np.asarray(trace.qpos)[: len(rows), :, :2][is_running]
     maze = np.broadcast_to(rows[:, 1:2], is_running.shape)[is_running]
     side = base.CELL / heatmap.BINS_PER_CELL
     i, j = np.floor(-xy[:, 1] / side).astype(int), np.floor(xy[:, 0] / side).astype(int)
