@@ -68,9 +68,11 @@ def high_paper() -> high_config.HighConfig:
 def high_best() -> high_config.HighConfig:
     """The high level within a minute on two cores.
 
-    Short windows give many updates in little time, a rate that falls to nothing and an entropy
-    bonus that fades let the policy settle, and phantom walls keep it from leaning on any one wall
-    (success in maze g3 after 4 million decisions, two seeds: 92 instead of 73 %).
+    Short windows give many updates in little time; a rate that falls to nothing and an entropy
+    bonus that fades let the policy settle. What the rest gains was measured after 4 million
+    decisions, oracle success, means of two seeds: phantom walls keep the policy from leaning on
+    any one wall (maze g3 92 instead of 73 %), and a discount of 0.94 instead of 0.97 makes it
+    hurry (Random Square 92.6 instead of 90.2 %).
     """
     return high_config.HighConfig(
         preset="best",
