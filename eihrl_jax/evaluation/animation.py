@@ -20,10 +20,9 @@ from eihrl_jax.physics import kinematics
 DIRECTION_NAMES = ("east", "west", "north", "south")
 """How the picture calls the subgoals x+, x-, y+, y-."""
 
-FRAME_MILLISECONDS = 60
+FRAME_MILLISECONDS = 50
 _LAST_FRAME_MILLISECONDS = 1800
-_MAX_FRAMES = 170
-_NUM_COLOURS = 160
+_MAX_FRAMES = 240
 MAZE_SIZE = (560, 512)
 _PANEL_WIDTH = 208
 _MARGIN = 16
@@ -81,12 +80,7 @@ def save(
         Image.fromarray(frame) for frame in render(recording, capsules, title=title, reach=reach)
     ]
     # One palette for all frames keeps what does not move identical, and so out of the file.
-    key_frames = [frames[i] for i in np.linspace(0, len(frames) - 1, 6).astype(int)]
-    width, height = frames[0].size
-    montage = Image.new("RGB", (width, height * len(key_frames)))
-    for i, frame in enumerate(key_frames):
-        montage.paste(frame, (0, i * height))
-    colours = montage.quantize(_NUM_COLOURS, method=Image.Quantize.MEDIANCUT)
+    colours = _common_palette(frames)
     indexed = [frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames]
     indexed[0].save(
         path,
@@ -96,6 +90,27 @@ def save(
         loop=0,
         optimize=False,
     )
+
+
+def _common_palette(frames: list[Image.Image]) -> Image.Image:
+    """Returns an image with the palette of an animation.
+
+    It is made from a few of the frames, and from swatches of those colours that cover too little
+    of them to be given a place of their own.
+    """
+    chosen = [frames[i] for i in np.linspace(0, len(frames) - 1, 4).astype(int)]
+    width, height = chosen[0].size
+    montage = Image.new("RGB", (width, height * (len(chosen) + 1)))
+    for i, frame in enumerate(chosen):
+        montage.paste(frame, (0, i * height))
+    names = (palette.GOAL, palette.GOAL_ACHIEVED, palette.ROBOT, palette.ROBOT_LIMB, palette.TRAIL)
+    shades = np.linspace(0.5, 1.0, 8)
+    swatches = np.array([[255 * shade * palette.rgb(name) for shade in shades] for name in names])
+    swatch = Image.fromarray(swatches.astype(np.uint8))
+    montage.paste(
+        swatch.resize((width, height), Image.Resampling.NEAREST), (0, height * len(chosen))
+    )
+    return montage.quantize(255, method=Image.Quantize.MEDIANCUT)
 
 
 def render(

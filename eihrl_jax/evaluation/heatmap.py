@@ -21,7 +21,7 @@ from eihrl_jax.evaluation import palette, picture
 from eihrl_jax.mazes import maze as maze_lib
 
 BINS_PER_CELL = 6
-_LABEL = "torso positions per episode and square unit"
+_LABEL = "episodes that came by, %"
 _DPI = 160
 
 
@@ -32,40 +32,39 @@ class Visits:
     Attributes:
       title: what the picture is called.
       maze: the maze as it was loaded, its door candidates not yet drawn.
-      density: float [R * BINS_PER_CELL, C * BINS_PER_CELL], mean number of recorded positions per
-        episode and square unit; row 0 is the north.
+      share: float [R * BINS_PER_CELL, C * BINS_PER_CELL], share of the episodes in which the torso
+        was in a bin at least once, in [0, 1]; row 0 is the north.
     """
 
     title: str
     maze: maze_lib.Maze
-    density: Float[np.ndarray, "rows columns"]
+    share: Float[np.ndarray, "rows columns"]
 
 
 def save(path: pathlib.Path, visits: Visits) -> None:
     """Draws the heatmap of one maze with the marginal frequencies beside it, as PNG."""
     rows, columns = visits.maze.wall.shape
-    height = 4.6 * min(rows / columns, 1.4) + 1.5
-    figure = _figure(7.0, height)
-    grid = figure.add_gridspec(2, 3, width_ratios=(7, 1, 0.3), height_ratios=(1, 7))
-    axes = figure.add_subplot(grid[1, 0])
+    figure = _figure(7.2, 5.3 * min(rows / columns, 1.3) + 1.4)
+    axes = figure.add_subplot()
     norm = _norm([visits])
     _draw(axes, visits, norm)
-    axes.set_xlabel("x, units")
-    axes.set_ylabel("y, units")
+    axes.set_xlabel("x, units", color=palette.INK)
+    axes.set_ylabel("y, units", color=palette.INK)
+    # Insets stay beside the maze whatever size its aspect leaves it.
+    top = axes.inset_axes((0.0, 1.02, 1.0, 0.14), sharex=axes)
+    right = axes.inset_axes((1.02, 0.0, 0.14, 1.0), sharey=axes)
+    scale = axes.inset_axes((1.20, 0.0, 0.035, 1.0))
     side = base.CELL / BINS_PER_CELL
-    top = figure.add_subplot(grid[0, 0], sharex=axes)
-    x = (np.arange(visits.density.shape[1]) + 0.5) * side
-    top.bar(x, visits.density.sum(0) * side, width=side, color=palette.GOAL)
+    x = (np.arange(visits.share.shape[1]) + 0.5) * side
+    top.bar(x, visits.share.sum(0), width=side, color=palette.GOAL)
     top.set_title(visits.title, loc="left", color=palette.INK, weight="bold")
-    right = figure.add_subplot(grid[1, 1], sharey=axes)
-    y = -(np.arange(visits.density.shape[0]) + 0.5) * side
-    right.barh(y, visits.density.sum(1) * side, height=side, color=palette.GOAL)
+    y = -(np.arange(visits.share.shape[0]) + 0.5) * side
+    right.barh(y, visits.share.sum(1), height=side, color=palette.GOAL)
     for marginal in (top, right):
         marginal.spines[:].set_visible(False)
         marginal.tick_params(length=0, labelbottom=False, labelleft=False)
         marginal.set_facecolor("none")
-    bar = figure.colorbar(_mappable(norm), cax=figure.add_subplot(grid[1, 2]))
-    _style_bar(bar)
+    _style_bar(figure.colorbar(_mappable(norm), cax=scale))
     _add_legend(figure)
     _save(figure, path)
 
@@ -111,10 +110,9 @@ def _add_legend(figure: matplotlib.figure.Figure) -> None:
 
 
 def _norm(visits: Sequence[Visits]) -> matplotlib.colors.Normalize:
-    """Returns a logarithmic scale of two and a half decades below the densest places."""
-    values = np.concatenate([item.density[item.density > 0.0] for item in visits])
-    high = float(np.quantile(values, 0.998)) if len(values) else 1.0
-    return matplotlib.colors.LogNorm(high / 10**2.5, high, clip=True)
+    """Returns a scale in per cent up to the most visited place, bright where few came by, too."""
+    highest = max(float(item.share.max()) for item in visits)
+    return matplotlib.colors.PowerNorm(0.5, 0.0, 100.0 * highest or 1.0)
 
 
 def _mappable(norm: matplotlib.colors.Normalize) -> matplotlib.cm.ScalarMappable:
@@ -133,9 +131,9 @@ def _draw(axes: matplotlib.axes.Axes, visits: Visits, norm: matplotlib.colors.No
     maze = visits.maze
     rows, columns = maze.wall.shape
     extent = (0.0, columns * base.CELL, -rows * base.CELL, 0.0)
-    heat = np.ma.masked_less_equal(visits.density, 0.0)
-    axes.set_facecolor(matplotlib.colormaps[palette.HEAT](0.0))
-    axes.imshow(heat, norm=norm, cmap=palette.HEAT, extent=extent, interpolation="nearest")
+    axes.imshow(
+        100.0 * visits.share, norm=norm, cmap=palette.HEAT, extent=extent, interpolation="nearest"
+    )
     door = np.asarray(maze.door)
     for cells in picture.wall_rectangles(np.asarray(maze.wall) & ~door):
         _rectangle(axes, cells, facecolor=palette.WALL, edgecolor=palette.WALL)

@@ -80,7 +80,7 @@ def draw_heatmaps(
 ) -> None:
     """Draws where one system has been: one picture per maze, and one of all."""
     visits = [
-        heatmap.Visits(title(system, name), chosen[name], rollout.density)
+        heatmap.Visits(title(system, name), chosen[name], rollout.share)
         for name, rollout in found.items()
     ]
     for name, item in zip(found, visits, strict=True):

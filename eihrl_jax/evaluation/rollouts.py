@@ -7,6 +7,7 @@ other episodes run beside it changes nothing. One that is over rests and costs n
 import dataclasses
 import math
 import time
+import zlib
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
@@ -109,12 +110,12 @@ class Rollout:
 
     Attributes:
       episodes: their numbers.
-      density: see `heatmap.Visits`.
+      share: see `heatmap.Visits`.
       recordings: the first episodes of the first seed, to be drawn.
     """
 
     episodes: results.Episodes
-    density: Float[np.ndarray, "rows columns"]
+    share: Float[np.ndarray, "rows columns"]
     recordings: list[animation.Recording]
 
 
@@ -148,7 +149,7 @@ class _Batch:
     Attributes:
       rows: int [E, 3], seed, maze and number of each.
       columns: arrays [E] by field of `results.Episodes`.
-      count: int [M, rows, columns], how often the torso was in each bin of the mazes.
+      count: int [M, rows, columns], in how many of them the torso was in each bin of the mazes.
       recordings: by row of the batch.
     """
 
@@ -231,18 +232,18 @@ class _Runner:
     def run(self, rows: Int[np.ndarray, "E 3"], size: int) -> _Batch:
         """Runs episodes to their ends, in a batch filled up to `size`."""
         padded = np.concatenate([rows, rows[:1].repeat(size - len(rows), 0)])
-        env_keys, high_keys = _streams(padded)
+        env_keys, high_keys = _streams(padded, list(self._plan.mazes))
         index = jnp.asarray(padded[:, 1], jnp.int32)
         states = self._reset(env_keys, index)
         limit = self._env.course.mazes.num_decisions[index][: len(rows)]
         is_recorded = (rows[:, 0] == self._plan.seeds[0]) & (rows[:, 2] < self._plan.num_recorded)
         recorded = np.flatnonzero(is_recorded)
         history: list[Step] = []
-        count = np.zeros(_bins(self._env), int)
+        was_there = np.zeros((len(rows), *_bins(self._env)), bool)
         is_over = np.zeros(len(rows), bool)
         while not is_over.all():
             states, step = self._decide(states, high_keys, jnp.int32(len(history)))
-            _count(count, step.trace, rows)
+            _mark(was_there, step.trace)
             history.append(jax.tree.map(lambda leaf: np.asarray(leaf)[recorded], step))
             is_over = np.asarray(states.terminated | states.truncated)[: len(rows)]
             self._report(states, limit, is_over)
@@ -253,6 +254,8 @@ class _Runner:
             row: _recording(self._env, self._plan, states, history, row, i)
             for i, row in enumerate(recorded.tolist())
         }
+        num_mazes = len(self._plan.mazes)
+        count = np.stack([was_there[rows[:, 1] == maze].sum(0) for maze in range(num_mazes)])
         return _Batch(rows, columns, count, recordings)
 
     def _report(
@@ -266,38 +269,42 @@ class _Runner:
         self._progress.update(spent, {"success": success.mean()} if len(success) else None)
 
 
-def _streams(rows: Int[np.ndarray, "E 3"]) -> tuple[Key[Array, " E"], Key[Array, " E"]]:
-    """Returns each episode's keys for its environment and for its high level."""
+def _streams(
+    rows: Int[np.ndarray, "E 3"], names: list[str]
+) -> tuple[Key[Array, " E"], Key[Array, " E"]]:
+    """Returns each episode's keys for its environment and for its high level.
 
-    def stream(row: UInt32[Array, "3"]) -> Key[Array, "2"]:
-        seed, maze, episode = row
+    The maze enters by its name, so that it does not matter which others are evaluated.
+    """
+    hashes = np.array([zlib.crc32(name.encode()) for name in names], np.uint32)
+
+    def stream(
+        seed: UInt32[Array, ""], maze: UInt32[Array, ""], episode: UInt32[Array, ""]
+    ) -> Key[Array, "2"]:
         key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), maze), episode)
         return jax.random.split(key)
 
-    keys = jax.vmap(stream)(jnp.asarray(rows, jnp.uint32))
+    columns = (rows[:, 0], hashes[rows[:, 1]], rows[:, 2])
+    keys = jax.vmap(stream)(*(jnp.asarray(column, jnp.uint32) for column in columns))
     return keys[:, 0], keys[:, 1]
 
 
-def _bins(env: Traced) -> tuple[int, int, int]:
-    """Returns the number of mazes and of the bins along and across them."""
-    num_mazes, rows, columns = env.course.mazes.wall.shape
-    return num_mazes, rows * heatmap.BINS_PER_CELL, columns * heatmap.BINS_PER_CELL
+def _bins(env: Traced) -> tuple[int, int]:
+    """Returns the number of bins along and across the mazes."""
+    _, rows, columns = env.course.mazes.wall.shape
+    return rows * heatmap.BINS_PER_CELL, columns * heatmap.BINS_PER_CELL
 
 
-def _count(
-    count: Int[np.ndarray, "M rows columns"],
-    trace: hierarchy.Trace,
-    rows: Int[np.ndarray, "E 3"],
-) -> None:
-    """Adds the positions of running episodes to the counts, in place."""
-    is_running = np.asarray(trace.is_running)[: len(rows)]
-    xy = np.asarray(trace.qpos)[: len(rows), :, :2][is_running]
-    maze = np.broadcast_to(rows[:, 1:2], is_running.shape)[is_running]
+def _mark(was_there: Bool[np.ndarray, "E rows columns"], trace: hierarchy.Trace) -> None:
+    """Marks the bins in which running episodes are, in place."""
+    num, num_rows, num_columns = was_there.shape
+    is_running = np.asarray(trace.is_running)[:num]
+    xy = np.asarray(trace.qpos)[:num, :, :2][is_running]
+    episode = np.nonzero(is_running)[0]
     side = base.CELL / heatmap.BINS_PER_CELL
     i, j = np.floor(-xy[:, 1] / side).astype(int), np.floor(xy[:, 0] / side).astype(int)
-    is_inside = (i >= 0) & (i < count.shape[1]) & (j >= 0) & (j < count.shape[2])
-    flat = np.ravel_multi_index((maze[is_inside], i[is_inside], j[is_inside]), count.shape)
-    count += np.bincount(flat, minlength=count.size).reshape(count.shape)
+    is_inside = (i >= 0) & (i < num_rows) & (j >= 0) & (j < num_columns)
+    was_there[episode[is_inside], i[is_inside], j[is_inside]] = True
 
 
 def _columns(states: base.EnvState, num: int) -> dict[str, np.ndarray]:
@@ -352,10 +359,9 @@ def _rollout(batches: list[_Batch], plan: Plan, maze: int) -> Rollout:
     num_rows, num_columns = list(plan.mazes.values())[maze].wall.shape
     count = np.sum([batch.count[maze] for batch in batches], axis=0)
     count = count[: num_rows * heatmap.BINS_PER_CELL, : num_columns * heatmap.BINS_PER_CELL]
-    side = base.CELL / heatmap.BINS_PER_CELL
     return Rollout(
         episodes=results.Episodes(**columns, seed=rows[is_here, 0]),
-        density=count / (is_here.sum() * side**2),
+        share=count / is_here.sum(),
         recordings=[
             recording
             for batch in batches

@@ -155,10 +155,14 @@ def terminal(cells: Sequence[results.Cell]) -> list[rich.table.Table]:
     tables = []
     for table in _tables(cells):
         shown = rich.table.Table(
-            title=table.title, title_justify="left", header_style="bold", box=rich.box.SIMPLE
+            title=table.title,
+            title_justify="left",
+            header_style="bold",
+            box=rich.box.SIMPLE_HEAD,
+            pad_edge=False,
         )
         for i, name in enumerate(table.header):
-            shown.add_column(name, justify="left" if i == 0 else "right")
+            shown.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
         for row in table.rows:
             shown.add_row(*row, style="dim" if row[0].startswith("  ") else None)
         tables.append(shown)

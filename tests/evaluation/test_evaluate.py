@@ -157,19 +157,21 @@ def test_batches_change_nothing(monkeypatch):
         np.testing.assert_array_equal(
             getattr(together.episodes, field.name), getattr(apart.episodes, field.name)
         )
-    np.testing.assert_allclose(together.density, apart.density)
+    np.testing.assert_array_equal(together.share, apart.share)
     assert len(together.recordings) == len(apart.recordings) == 2
     np.testing.assert_array_equal(together.recordings[1].qpos, apart.recordings[1].qpos)
 
 
 def test_only_running_episodes_leave_traces():
     rollout = random_walk(40, num_recorded=40)
-    bin_area = (base.CELL / 6) ** 2
-    positions = rollout.density.sum() * bin_area * 40
-    assert positions == pytest.approx(rollout.episodes.decisions.sum() * 6)
+    count = np.zeros(rollout.share.shape)
     for recording, decisions in zip(rollout.recordings, rollout.episodes.decisions, strict=True):
         assert len(recording.direction) == len(recording.patch) == decisions
         assert len(recording.qpos) == 6 * decisions
+        x, y = recording.qpos[:, :2].T
+        bins = np.stack([-y, x]) / (base.CELL / 6)
+        count[tuple(np.unique(np.floor(bins).astype(int), axis=1))] += 1
+    np.testing.assert_allclose(rollout.share, count / 40)
     typical = report.typical(rollout)
     solved = rollout.episodes.achieved == 1
     if solved.any():

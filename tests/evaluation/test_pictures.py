@@ -178,9 +178,9 @@ def test_goal_changes_colour_when_it_is_reached(recording):
 
 def test_heatmap_shows_visits_and_walls(tmp_path, maze):
     bins = heatmap.BINS_PER_CELL
-    density = np.zeros((5 * bins, 8 * bins))
-    density[bins : 2 * bins, bins : 2 * bins] = 1.0
-    visits = heatmap.Visits("mine", maze, density)
+    share = np.zeros((5 * bins, 8 * bins))
+    share[bins : 2 * bins, bins : 2 * bins] = 1.0
+    visits = heatmap.Visits("mine", maze, share)
     heatmap.save(tmp_path / "one.png", visits)
     heatmap.save_together(tmp_path / "all.png", [visits, visits])
     pixels = opened(tmp_path / "one.png").reshape(-1, 3)
