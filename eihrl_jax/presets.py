@@ -73,6 +73,11 @@ def high_best() -> high_config.HighConfig:
     decisions, oracle success, means of two seeds: phantom walls keep the policy from leaning on
     any one wall (maze g3 92 instead of 73 %), and a discount of 0.94 instead of 0.97 makes it
     hurry (Random Square 92.6 instead of 90.2 %).
+
+    Phantom walls were devised and their probability set with the scores in g1, g2 and g3 in view:
+    training never sees these mazes, but for this setting they are no blind test. Without phantom
+    walls, after 9 million decisions, one seed had 93.7 % in the Random Square, 78.0 in g1, 78.7 in
+    g3.
     """
     return high_config.HighConfig(
         preset="best",
