@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 
 from eihrl_jax import base, mazes
 from eihrl_jax.agents import hierarchy
-from eihrl_jax.envs import oracle_maze, task
+from eihrl_jax.envs import task
 from eihrl_jax.evaluation import animation, heatmap, results
 from eihrl_jax.training import progress as progress_lib
 
@@ -48,46 +48,6 @@ class Traced(Protocol):
     ) -> tuple[base.EnvState, hierarchy.Trace]:
         """Follows a direction for one subgoal."""
         ...
-
-
-@dataclasses.dataclass(frozen=True)
-class TracedOracle:
-    """Oracle movement, which tells a straight way and the posture that it shows at its end.
-
-    Attributes:
-      env: the environment.
-      qpos: float32 [N, nq], the postures whose silhouettes it draws.
-    """
-
-    env: oracle_maze.OracleMaze
-    qpos: Float[Array, "N nq"]
-
-    @property
-    def course(self) -> task.Course:
-        """Its mazes."""
-        return self.env.course
-
-    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
-        """Draws a new episode, in a given maze or in any; the key is consumed."""
-        return self.env.reset(key, maze)
-
-    def trace(
-        self, state: base.EnvState, action: Int[Array, ""]
-    ) -> tuple[base.EnvState, hierarchy.Trace]:
-        """Follows a direction for one subgoal."""
-        following = self.env.step(state, action)
-        num = self.env.movement.num_substeps
-        share = jnp.linspace(0.0, 1.0, num + 1)[1:, None]
-        start_xy, end_xy = state.inner.xy[None], following.inner.xy[None]
-        posture = self.qpos[following.inner.posture]
-        qpos = jnp.repeat(posture[None], num, axis=0)
-        qpos = qpos.at[:, :2].set((1.0 - share) * start_xy + share * end_xy)
-        is_running = ~(state.terminated | state.truncated)
-        return following, hierarchy.Trace(
-            qpos=qpos,
-            is_fallen=jnp.zeros(num, bool),
-            is_running=jnp.repeat(is_running, num),
-        )
 
 
 class Step(struct.PyTreeNode):
@@ -261,12 +221,11 @@ class _Runner:
     def _report(
         self, states: base.EnvState, limit: Int[Array, " E"], is_over: Bool[np.ndarray, " E"]
     ) -> None:
-        """Tells how far the batch is, and the success of the episodes that are over."""
+        """Tells how far the batch is, and the success so far of all its episodes."""
         decisions = np.asarray(states.inner.nav.decisions)[: len(is_over)]
         spent = self._spent + int(np.where(is_over, limit, decisions).sum())
-        success = np.asarray(states.metrics["success"])[: len(is_over)][is_over]
-        success = np.concatenate([*self._solved, success])
-        self._progress.update(spent, {"success": success.mean()} if len(success) else None)
+        success = np.asarray(states.metrics["success"])[: len(is_over)]
+        self._progress.update(spent, {"success": np.concatenate([*self._solved, success]).mean()})
 
 
 def _streams(

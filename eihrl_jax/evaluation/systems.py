@@ -12,7 +12,7 @@ from eihrl_jax import base, mazes, policies, postures, raster
 from eihrl_jax.agents import hierarchy, peg_a2c
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import locomotion, maze, oracle_maze
+from eihrl_jax.envs import locomotion, maze, oracle_maze, task
 from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engine as engine_lib
@@ -32,6 +32,46 @@ class HighLevel:
     label: str
     policy: rollouts.HighPolicy
     view: raster.View
+
+
+@dataclasses.dataclass(frozen=True)
+class TracedOracle:
+    """Oracle movement, which tells a straight way and the posture that it shows at its end.
+
+    Attributes:
+      env: the environment.
+      qpos: float32 [N, nq], the postures whose silhouettes it draws.
+    """
+
+    env: oracle_maze.OracleMaze
+    qpos: Float[Array, "N nq"]
+
+    @property
+    def course(self) -> task.Course:
+        """Its mazes."""
+        return self.env.course
+
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+        """Draws a new episode, in a given maze or in any; the key is consumed."""
+        return self.env.reset(key, maze)
+
+    def trace(
+        self, state: base.EnvState, action: Int[Array, ""]
+    ) -> tuple[base.EnvState, hierarchy.Trace]:
+        """Follows a direction for one subgoal."""
+        following = self.env.step(state, action)
+        num = self.env.movement.num_substeps
+        share = jnp.linspace(0.0, 1.0, num + 1)[1:, None]
+        start_xy, end_xy = state.inner.xy[None], following.inner.xy[None]
+        posture = self.qpos[following.inner.posture]
+        qpos = jnp.repeat(posture[None], num, axis=0)
+        qpos = qpos.at[:, :2].set((1.0 - share) * start_xy + share * end_xy)
+        is_running = ~(state.terminated | state.truncated)
+        return following, hierarchy.Trace(
+            qpos=qpos,
+            is_fallen=jnp.zeros(num, bool),
+            is_running=jnp.repeat(is_running, num),
+        )
 
 
 def load_high(name: str, *, greedy: bool = False) -> HighLevel:
@@ -92,7 +132,7 @@ def oracle(
     *,
     step: float,
     sigma: float,
-) -> rollouts.TracedOracle:
+) -> TracedOracle:
     """Returns oracle movement in several mazes.
 
     Args:
@@ -110,7 +150,7 @@ def oracle(
     env = oracle_maze.OracleMaze(
         stacked, postures.footprints(robot, bank, view), view=view, movement=movement
     )
-    return rollouts.TracedOracle(env, bank.qpos)
+    return TracedOracle(env, bank.qpos)
 
 
 def full(
