@@ -79,7 +79,7 @@ def save(
         colour = palette.CURVE[i % len(palette.CURVE)]
         x, y = points[:, 0], y_scale * points[:, 1]
         axes.plot(x, y, color=colour, alpha=0.25, linewidth=1.0)
-        window = max(1, len(y) // 20)
+        window = max(1, len(y) // 50)
         axes.plot(x, smooth(y, window), color=colour, linewidth=2.0, label=label)
     axes.set_xlabel(x_label, color=palette.INK)
     axes.set_ylabel(y_label, color=palette.INK)
@@ -92,5 +92,5 @@ def save(
     axes.spines[["left", "bottom"]].set_color(palette.MUTED)
     axes.tick_params(colors=palette.INK)
     if len(curves) > 1:
-        axes.legend(frameon=False, labelcolor=palette.INK)
+        axes.legend(frameon=False, labelcolor=palette.INK, loc="lower right")
     backend_agg.FigureCanvasAgg(figure).print_png(str(path))

@@ -124,13 +124,17 @@ def draw_learning_curve(run: pathlib.Path) -> pathlib.Path:
     Raises:
       base.UserError: the folder has no metrics.
     """
-    points = curves.read(run / "metrics.csv", "num_decisions", "success")
+    metrics = run / "metrics.csv"
+    shown = {
+        "workers in training": curves.read(metrics, "num_decisions", "success"),
+        "evaluation": curves.read(metrics, "num_decisions", "eval/success"),
+    }
     path = run / "learning_curve.png"
     curves.save(
         path,
-        {run.name: points},
+        shown,
         x_label="decisions",
-        y_label="success in training, %",
+        y_label="success, %",
         y_scale=100.0,
         y_range=(0.0, 100.0),
     )

@@ -4,7 +4,7 @@ import pytest
 from PIL import Image
 
 from eihrl_jax import base, mazes
-from eihrl_jax.evaluation import animation, curves, heatmap, palette, picture, raycast
+from eihrl_jax.evaluation import animation, curves, heatmap, palette, picture, raycast, report
 
 TEXT = """\
 ####1###
@@ -207,6 +207,14 @@ def test_curve_is_read_and_drawn(tmp_path):
     np.testing.assert_array_equal(points, [[100, 0.1], [300, 0.5]])
     curves.save(tmp_path / "curve.png", {"run": points}, x_label="decisions", y_label="success")
     assert opened(tmp_path / "curve.png").shape[1] > 500
+
+
+def test_learning_curve_of_a_run(tmp_path):
+    rows = ["step,num_decisions,success,eval/success", "1,100,0.1,", "2,200,nan,0.3", "3,300,0.5,"]
+    (tmp_path / "metrics.csv").write_text("\n".join(rows))
+    path = report.draw_learning_curve(tmp_path)
+    assert path.parent == tmp_path
+    assert opened(path).shape[1] > 500
 
 
 @pytest.mark.parametrize(
