@@ -18,9 +18,10 @@ def low_paper() -> low_config.LowConfig:
 def low_best() -> low_config.LowConfig:
     """The low level with all that keeps epsilon small in little time.
 
-    Each stored step is looked at for a random direction, turned into that direction's frame; the
-    robot knows how far it has come and how much time is left, is paid up to one cell and charged
-    for drifting, and half of its rooms have inner walls. Many robots walk at once.
+    The world is turned into the direction's frame and the robot renamed to face it; the robot knows
+    how far it has come and how much time is left, is paid for coming nearer to the point one cell
+    ahead, and half of its rooms have inner walls. Half of the steps that it learns from are looked
+    at as if a new subgoal had just been given. Many robots walk at once.
     """
     return low_config.LowConfig(
         preset="best",
@@ -29,11 +30,12 @@ def low_best() -> low_config.LowConfig:
         warmup_iterations=200,
         updates_per_iteration=8,
         capacity=640_000,
-        relabel=True,
+        relabel="restart",
+        relabel_share=0.5,
         num_rooms=256,
-        low_input=low_config.LowInput(frame="direction", use_progress=True),
-        reward=low_config.LowReward(lateral_weight=0.5, stops_at_cell=True),
-        droq=low_config.Droq(actor_period=2, temperature=0.1),
+        low_input=low_config.LowInput(frame="canonical", use_progress=True, velocity_scale=0.1),
+        reward=low_config.LowReward(lateral_weight=1.0, beyond_cell=-1.0),
+        droq=low_config.Droq(actor_period=2, temperature=0.02, average_rate=0.002),
         log_every=50,
         evaluate_every=500,
         checkpoint_every=1_000,
@@ -48,7 +50,7 @@ def low_point() -> low_config.LowConfig:
         robot="point",
         num_iterations=2_000,
         capacity=128_000,
-        droq=low_config.Droq(hidden=(64, 64), actor_period=2, temperature=0.1),
+        droq=dataclasses.replace(low_best().droq, hidden=(64, 64)),
     )
 
 

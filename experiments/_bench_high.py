@@ -2,6 +2,7 @@
 
 import dataclasses
 import pathlib
+import statistics
 import time
 from typing import Any
 
@@ -10,7 +11,8 @@ import jax
 from eihrl_jax import presets
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
-from eihrl_jax.evaluation import evaluate
+from eihrl_jax.evaluation import evaluate, results
+from eihrl_jax.mazes import generators
 from eihrl_jax.training import high, parallel
 
 MAZES = ("random", "g1", "g2", "g3")
@@ -20,6 +22,13 @@ WIDE_VIEW = {"extent": 15.0, "pixels": 25}
 
 WIDE_UPDATES = 800
 """Updates with the larger view, whose decisions cost more, in about a minute on two cores."""
+
+
+PHANTOM_WALLS = (0.0, 0.3, 0.6)
+"""Probabilities among which preset `best` was to choose."""
+
+NUM_ROOMS = 64
+"""Generated rooms on which they are compared."""
 
 
 def decisions_per_second(num_updates: int = 500, repeats: int = 5) -> dict[str, float]:
@@ -63,18 +72,57 @@ def _train_and_test(folder: pathlib.Path, seed: int, is_wide: bool) -> dict[str,
     if is_wide:
         config = _widen(config)
     seconds = high.train(config)
-    found = evaluate.evaluate(
+    cells = _test(folder, MAZES, seed, episodes=500)
+    success = {cell.maze: cell.success.rate for cell in cells}
+    return {"seed": seed, "seconds": seconds, "success": success}
+
+
+def choose_phantom_walls(folder: pathlib.Path, num_seeds: int) -> list[dict[str, Any]]:
+    """Compares probabilities of phantom walls on generated rooms, which no test maze is among.
+
+    Args:
+      folder: new folder for rooms and runs.
+      num_seeds: training runs of each, with seeds 100, 101, ..., which no other part uses.
+
+    Returns:
+      Per probability: the mean `success` over 64 rooms in each run, 50 episodes a room, directions
+      sampled, oracle movement, four times the shortest path of time.
+    """
+    rooms = folder / "rooms"
+    rooms.mkdir(parents=True)
+    files = [rooms / f"room-{index:02d}.txt" for index in range(NUM_ROOMS)]
+    for index, file in enumerate(files):
+        file.write_text(generators.random_room(index, 7, 7))
+    found = []
+    for probability in PHANTOM_WALLS:
+        success = []
+        for seed in range(100, 100 + num_seeds):
+            run = folder / f"{probability:.1f}" / f"seed-{seed}"
+            best = presets.high_best()
+            task = dataclasses.replace(best.task, phantom_walls=probability)
+            config = dataclasses.replace(best, run=run / "high", seed=seed, task=task)
+            high.train(config)
+            cells = _test(run, tuple(map(str, files)), seed, episodes=50)
+            success.append(statistics.mean(cell.success.rate for cell in cells))
+        found.append({"probability": probability, "success": success})
+    return found
+
+
+def _test(
+    run: pathlib.Path, mazes: tuple[str, ...], seed: int, episodes: int
+) -> tuple[results.Cell, ...]:
+    """Runs the high level `run / "high"` unchanged in mazes, oracle movement."""
+    return evaluate.evaluate(
         evaluate_config.EvaluateConfig(
-            mazes=MAZES,
+            mazes=mazes,
             movement=("oracle",),
-            high=(str(config.run),),
+            high=(str(run / "high"),),
+            episodes=episodes,
             seeds=(1000 + seed,),
-            out=folder / "evaluation",
+            out=run / "evaluation",
             animate="none",
         )
-    )
-    success = {cell.maze: cell.success.rate for cell in found.cells}
-    return {"seed": seed, "seconds": seconds, "success": success}
+    ).cells
 
 
 def _widen(config: high_config.HighConfig) -> high_config.HighConfig:

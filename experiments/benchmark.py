@@ -12,7 +12,16 @@ from eihrl_jax.config import checks
 from eihrl_jax.training import parallel, versions
 from experiments import _bench_high, _bench_physics, _cli
 
-Part = Literal["speed", "learning", "wide_view", "interface", "maze_cost", "engines", "episodes"]
+Part = Literal[
+    "speed",
+    "phantom_walls",
+    "learning",
+    "wide_view",
+    "interface",
+    "maze_cost",
+    "engines",
+    "episodes",
+]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -22,8 +31,8 @@ class BenchmarkConfig:
     Run it on a machine that does nothing else; the figures stand beside the machine's name.
 
     Attributes:
-      parts: what to measure; default: everything, about 20 minutes on two cores.
-      num_seeds: training runs of parts learning and wide_view.
+      parts: what to measure; default: everything, about 30 minutes on two cores.
+      num_seeds: training runs of each kind in parts phantom_walls, learning and wide_view.
       out: folder of the results, must be new.
     """
 
@@ -61,6 +70,9 @@ def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
 
     return {
         "speed": _bench_high.decisions_per_second,
+        "phantom_walls": lambda: _bench_high.choose_phantom_walls(
+            config.out / "phantom_walls", config.num_seeds
+        ),
         "learning": lambda: learn("learning", False),
         "wide_view": lambda: learn("wide_view", True),
         "interface": _bench_physics.interface_ratio,
@@ -83,6 +95,12 @@ def _rows(part: str, result: Any) -> list[str]:
         return [
             "| decisions per second, environment and learning, 9-unit view | "
             f"{result['median']:,.0f} (median), {result['fastest']:,.0f} (fastest) |"
+        ]
+    if part == "phantom_walls":
+        return [
+            f"| 64 generated rooms, phantom walls with probability {row['probability']} | "
+            f"{_spread(row['success'])} |"
+            for row in result
         ]
     if part in ("learning", "wide_view"):
         return _learning_rows("15" if part == "wide_view" else "9", result)
@@ -112,14 +130,17 @@ def _learning_rows(view: str, runs: list[dict[str, Any]]) -> list[str]:
         f"{min(seconds):.0f} to {max(seconds):.0f} s |"
     ]
     for maze in runs[0]["success"]:
-        rates = [100 * run["success"][maze] for run in runs]
-        spread = statistics.stdev(rates) if len(rates) > 1 else 0.0
-        each = ", ".join(f"{rate:.1f}" for rate in rates)
-        rows.append(
-            f"| oracle success in `{maze}`, {view}-unit view | "
-            f"{statistics.mean(rates):.1f} ± {spread:.1f} % ({each}) |"
-        )
+        spread = _spread([run["success"][maze] for run in runs])
+        rows.append(f"| oracle success in `{maze}`, {view}-unit view | {spread} |")
     return rows
+
+
+def _spread(rates: list[float]) -> str:
+    """Writes mean, standard deviation and each of some success rates in percent."""
+    percent = [100 * rate for rate in rates]
+    spread = statistics.stdev(percent) if len(percent) > 1 else 0.0
+    each = ", ".join(f"{rate:.1f}" for rate in percent)
+    return f"{statistics.mean(percent):.1f} ± {spread:.1f} % ({each})"
 
 
 if __name__ == "__main__":

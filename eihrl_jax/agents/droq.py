@@ -24,6 +24,7 @@ class DroqState(struct.PyTreeNode):
 
     Attributes:
       actor_params: of `networks.droq.Actor`.
+      average_params: moving average of `actor_params`, which acts where nothing is to be explored.
       critic_params: of M `networks.droq.Critic`s, a tuple.
       target_params: moving average of `critic_params`.
       log_temperature: float32, log alpha.
@@ -34,6 +35,7 @@ class DroqState(struct.PyTreeNode):
     """
 
     actor_params: Any
+    average_params: Any
     critic_params: Any
     target_params: Any
     log_temperature: Float[Array, ""]
@@ -74,6 +76,7 @@ class Droq:
         log_temperature = jnp.log(jnp.float32(self.options.temperature))
         return DroqState(
             actor_params=actor_params,
+            average_params=actor_params,
             critic_params=critic_params,
             target_params=critic_params,
             log_temperature=log_temperature,
@@ -167,8 +170,12 @@ class Droq:
         # d/d(log alpha) of log_alpha * (entropy - target_entropy), as in the authors' code.
         temperature_grad = entropy - self.options.target_entropy * self._num_actions
         step, temperature_opt_state = self._step(temperature_grad, state.temperature_opt_state)
+        actor_params = optax.apply_updates(state.actor_params, updates)
         state = state.replace(
-            actor_params=optax.apply_updates(state.actor_params, updates),
+            actor_params=actor_params,
+            average_params=optax.incremental_update(
+                actor_params, state.average_params, self.options.average_rate
+            ),
             actor_opt_state=actor_opt_state,
             log_temperature=state.log_temperature + step,
             temperature_opt_state=temperature_opt_state,

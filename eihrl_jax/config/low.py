@@ -2,9 +2,16 @@
 
 import dataclasses
 import pathlib
-from typing import Literal
+from typing import Literal, get_args
 
 from eihrl_jax.config import checks
+
+Frame = Literal["world", "direction", "canonical"]
+"""Frames in which the low level may see the world, see `LowInput`."""
+
+
+Relabel = Literal["never", "direction", "restart"]
+"""Ways to use a stored step for another direction, see `LowConfig`."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -12,16 +19,21 @@ class LowInput:
     """How observations become the network's input.
 
     Attributes:
-      frame: "world" as in the paper, or "direction": turned such that the subgoal points along x+.
+      frame: "world" as in the paper; "direction": turned such that the subgoal points along x+;
+        "canonical": also the robot's parts renamed by its symmetry, such that it faces the subgoal.
       use_progress: adds the displacement since the subgoal was given and the time left.
+      velocity_scale: factor on joint velocities and spin. Unscaled they are ten times as large as
+        the rest, which they drown in the critics' layer normalisation.
     """
 
-    frame: Literal["world", "direction"] = "world"
+    frame: Frame = "world"
     use_progress: bool = False
+    velocity_scale: float = 1.0
 
     def __post_init__(self) -> None:
         """Checks the frame, which may come from a file."""
-        checks.one_of("frame", self.frame, ("world", "direction"))
+        checks.one_of("frame", self.frame, get_args(Frame))
+        checks.in_range("velocity_scale", self.velocity_scale, above=0.0, high=100.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -31,17 +43,22 @@ class LowReward:
     Attributes:
       scale: alpha of eq. 1.
       lateral_weight: price of a unit of sideways drift against a unit of progress; 0 in eq. 1.
-      stops_at_cell: whether progress beyond one cell pays nothing; not so in eq. 1.
+      beyond_cell: what progress beyond one cell pays, against progress before: 1 in eq. 1, 0 for
+        nothing, -1 where going too far costs as much as going back.
+      fall_cost: what a fall costs besides the end of the episode; 0 in eq. 1.
     """
 
     scale: float = 3.0
     lateral_weight: float = 0.0
-    stops_at_cell: bool = False
+    beyond_cell: float = 1.0
+    fall_cost: float = 0.0
 
     def __post_init__(self) -> None:
         """Checks ranges."""
         checks.in_range("scale", self.scale, above=0.0)
         checks.in_range("lateral_weight", self.lateral_weight, 0.0, 10.0)
+        checks.in_range("beyond_cell", self.beyond_cell, -1.0, 1.0)
+        checks.in_range("fall_cost", self.fall_cost, 0.0, 1000.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -54,6 +71,7 @@ class Droq:
       dropout: probability with which a critic's hidden unit is dropped.
       learning_rate: of Adam for actor, critics and temperature.
       target_rate: tau of the moving average that the target critics are.
+      average_rate: of the moving average of the actor, per update of it; 1: the actor itself.
       target_entropy: what the temperature steers the policy's entropy to, nats per action
         dimension; -1/2 gives the authors' -4 for the ant's eight.
       temperature: alpha at the start.
@@ -67,6 +85,7 @@ class Droq:
     dropout: float = 0.01
     learning_rate: float = 3e-4
     target_rate: float = 0.005
+    average_rate: float = 1.0
     target_entropy: float = -0.5
     temperature: float = 1.0
     actor_period: int = 20
@@ -82,6 +101,7 @@ class Droq:
         checks.in_range("dropout", self.dropout, 0.0, below=1.0)
         checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
         checks.in_range("target_rate", self.target_rate, above=0.0, high=1.0)
+        checks.in_range("average_rate", self.average_rate, above=0.0, high=1.0)
         checks.in_range("target_entropy", self.target_entropy, -10.0, 10.0)
         checks.in_range("temperature", self.temperature, above=0.0)
         checks.in_range("actor_period", self.actor_period, 1, 1000)
@@ -105,7 +125,9 @@ class LowConfig:
       warmup_iterations: first vector steps, with random actions and without updates.
       updates_per_iteration: critic updates per vector step.
       capacity: transitions that the replay memory holds, a multiple of `num_envs`.
-      relabel: look at each drawn transition as if a random direction had been asked for.
+      relabel: look at drawn steps as if a random direction had been asked for: "direction" since
+        the subgoal began, "restart" just now.
+      relabel_share: share of the drawn steps that are looked at so.
       num_rooms: random rooms to walk in, every second one with inner walls; 0: open floor alone.
       episode_steps: control steps per episode.
       low_input: how observations become the network's input.
@@ -128,7 +150,8 @@ class LowConfig:
     warmup_iterations: int = 5_000
     updates_per_iteration: int = 20
     capacity: int = 400_000
-    relabel: bool = False
+    relabel: Relabel = "never"
+    relabel_share: float = 1.0
     num_rooms: int = 0
     episode_steps: int = 500
     low_input: LowInput = LowInput()
@@ -149,6 +172,8 @@ class LowConfig:
         checks.in_range("updates_per_iteration", self.updates_per_iteration, 1, 1000)
         checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
+        checks.one_of("relabel", self.relabel, get_args(Relabel))
+        checks.in_range("relabel_share", self.relabel_share, 0.0, 1.0)
         checks.in_range("num_rooms", self.num_rooms, 0, 4096)
         checks.in_range("episode_steps", self.episode_steps, 1, 100_000)
         checks.in_range("num_postures", self.num_postures, 1, 1_000_000)

@@ -1,7 +1,7 @@
 """The low level's task: walk one cell in the direction of the subgoal, which changes every k steps.
 
 Paper, Sec. 2 (eq. 1) and Sec. 3.2. An observation keeps its parts apart, because a stored step can
-be looked at again as if another direction had been asked for (`relabel`); `features` makes the
+be looked at again as if another direction had been asked for (`relabel`); `low_obs` makes the
 network's input of it.
 """
 
@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
 from eihrl_jax.config import low as low_config
+from eihrl_jax.envs import low_obs
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engine as engine_lib
@@ -20,22 +21,6 @@ from eihrl_jax.robots import robot as robot_lib
 
 METRICS = ("step_x", "step_y", "switched", "along", "lateral", "fell", "broke_down")
 """What `Locomotion` tells about each step, see there."""
-
-
-class LowObs(struct.PyTreeNode):
-    """What the low level knows. P: size of the proprioception.
-
-    Attributes:
-      proprioception: float32 [P], qpos without x and y, then qvel; units, radians, per second.
-      displacement_xy: float32 [2], movement since the subgoal was given, units, world frame.
-      time_left: float32, fraction of the subgoal's k steps that is left, in (0, 1].
-      direction: int32, the subgoal: 0 to 3 for x+, x-, y+, y-.
-    """
-
-    proprioception: Float[Array, " P"]
-    displacement_xy: Float[Array, "2"]
-    time_left: Float[Array, ""]
-    direction: Int[Array, ""]
 
 
 class Walk(struct.PyTreeNode):
@@ -68,28 +53,12 @@ class Experience(struct.PyTreeNode):
       next_obs: after the step.
     """
 
-    obs: LowObs
+    obs: low_obs.LowObs
     ctrl: Float[Array, " nu"]
     step_xy: Float[Array, "2"]
     terminated: Bool[Array, ""]
     is_switch: Bool[Array, ""]
-    next_obs: LowObs
-
-
-def observe(
-    physics: engine_lib.PhysicsState,
-    subgoal_xy: Float[Array, "2"],
-    steps_left: Int[Array, ""],
-    direction: Int[Array, ""],
-    robot: robot_lib.Robot,
-) -> LowObs:
-    """Returns the low level's observation, the same in training and inside the hierarchy."""
-    return LowObs(
-        proprioception=jnp.concatenate([physics.qpos[2:], physics.qvel]),
-        displacement_xy=physics.qpos[:2] - subgoal_xy,
-        time_left=steps_left.astype(jnp.float32) / robot.steps_per_subgoal,
-        direction=direction,
-    )
+    next_obs: low_obs.LowObs
 
 
 def is_fallen(qpos: Float[Array, " nq"], robot: robot_lib.Robot) -> Bool[Array, ""]:
@@ -101,53 +70,11 @@ def is_fallen(qpos: Float[Array, " nq"], robot: robot_lib.Robot) -> Bool[Array, 
     return (qpos[2] < low) | (qpos[2] > high) | (up_z < 0.0)
 
 
-def features(
-    obs: LowObs, robot: robot_lib.Robot, options: low_config.LowInput
-) -> Float[Array, " num_features"]:
-    """Returns the network's input: proprioception, two-hot direction, and perhaps progress.
-
-    The two-hot code of direction d sets entries 2d and 2d + 1 of eight (paper, Table 4). In the
-    direction's frame it is left out, since it would always be the same.
-    """
-    is_turned = options.frame == "direction"
-    direction = obs.direction if is_turned else jnp.zeros_like(obs.direction)
-    parts = [_turned_proprioception(obs.proprioception, direction, robot)]
-    if not is_turned:
-        parts.append(jnp.repeat(jax.nn.one_hot(obs.direction, base.NUM_DIRECTIONS), 2))
-    if options.use_progress:
-        displacement_xy = rotations.to_direction_frame(obs.displacement_xy, direction)
-        parts += [displacement_xy / base.CELL, obs.time_left[None]]
-    return jnp.concatenate(parts)
-
-
-def ctrl_from_action(
-    action: Float[Array, " nu"],
-    direction: Int[Array, ""],
-    robot: robot_lib.Robot,
-    options: low_config.LowInput,
-) -> Float[Array, " nu"]:
-    """Returns the controls of a network's action; only a sliding robot's depend on the frame."""
-    if robot.root != "slide" or options.frame == "world":
-        return action
-    return jnp.concatenate([rotations.to_world_frame(action[:2], direction), action[2:]])
-
-
-def action_from_ctrl(
-    ctrl: Float[Array, " nu"],
-    direction: Int[Array, ""],
-    robot: robot_lib.Robot,
-    options: low_config.LowInput,
-) -> Float[Array, " nu"]:
-    """Undoes `ctrl_from_action`."""
-    if robot.root != "slide" or options.frame == "world":
-        return ctrl
-    return jnp.concatenate([rotations.to_direction_frame(ctrl[:2], direction), ctrl[2:]])
-
-
 def reward(
     displacement_xy: Float[Array, "2"],
     step_xy: Float[Array, "2"],
     direction: Int[Array, ""],
+    terminated: Bool[Array, ""],
     options: low_config.LowReward,
 ) -> Float[Array, ""]:
     """Computes the intrinsic reward of one control step.
@@ -159,20 +86,21 @@ def reward(
       displacement_xy: float32 [2], movement since the subgoal was given, before the step, units.
       step_xy: float32 [2], the step's movement, units.
       direction: int32, the subgoal that was to be followed.
-      options: scale, price of drift, and whether a full cell is enough.
+      terminated: the step ended in a fall.
+      options: scale, prices of drift and falls, and whether a full cell is enough.
 
     Source: paper, eq. 1.
-    Differs from the paper: drift and stop are options, off in preset `paper`.
+    Differs from the paper: drift, stop and falls are options, off in preset `paper`.
     """
 
     def potential(xy: Float[Array, "2"]) -> Float[Array, ""]:
         along, lateral = rotations.to_direction_frame(xy, direction)
-        if options.stops_at_cell:
-            along = jnp.minimum(along, base.CELL)
+        beyond = jnp.maximum(along - base.CELL, 0.0)
+        along += (options.beyond_cell - 1.0) * beyond
         return along - options.lateral_weight * jnp.abs(lateral)
 
     gain = potential(displacement_xy + step_xy) - potential(displacement_xy)
-    return options.scale * gain
+    return options.scale * gain - options.fall_cost * terminated.astype(jnp.float32)
 
 
 def experience(
@@ -203,6 +131,26 @@ def relabel(experience: Experience, direction: Int[Array, ""]) -> Experience:
     )
 
 
+def restart(
+    experience: Experience, direction: Int[Array, ""], robot: robot_lib.Robot
+) -> Experience:
+    """Returns a stored step as if `direction` had been asked for just before it.
+
+    Unlike those of `relabel`, such steps are what the robot meets: nobody has come far sideways.
+    """
+    k, zero = robot.steps_per_subgoal, jnp.zeros(2)
+    obs, next_obs = experience.obs, experience.next_obs
+    return experience.replace(
+        is_switch=jnp.zeros((), bool),
+        obs=obs.replace(direction=direction, displacement_xy=zero, time_left=jnp.float32(1.0)),
+        next_obs=next_obs.replace(
+            direction=direction,
+            displacement_xy=experience.step_xy,
+            time_left=jnp.float32((k - 1) / k),
+        ),
+    )
+
+
 def transition(
     experience: Experience,
     robot: robot_lib.Robot,
@@ -213,24 +161,31 @@ def transition(
     """Returns a stored step as the learner sees it: features, action, reward, discount."""
     obs = experience.obs
     return base.Transition(
-        obs=features(obs, robot, input_options),
-        action=action_from_ctrl(experience.ctrl, obs.direction, robot, input_options),
-        reward=reward(obs.displacement_xy, experience.step_xy, obs.direction, reward_options),
+        obs=low_obs.features(obs, robot, input_options),
+        action=low_obs.action_from_ctrl(experience.ctrl, obs, robot, input_options),
+        reward=reward(
+            obs.displacement_xy,
+            experience.step_xy,
+            obs.direction,
+            experience.terminated,
+            reward_options,
+        ),
         discount=gamma * (1.0 - experience.terminated.astype(jnp.float32)),
-        next_obs=features(experience.next_obs, robot, input_options),
+        next_obs=low_obs.features(experience.next_obs, robot, input_options),
     )
 
 
 class Locomotion:
     """A robot in rooms, following directions that change at random every k control steps.
 
-    Observation: `LowObs`. Action: controls [nu] in [-1, 1]. Reward: see `reward`. Terminates when
-    the robot falls or the simulation breaks down; truncated after `episode_steps` control steps.
-    Reset: a random room and start, random yaw, noise on joints and velocities.
+    Observation: `low_obs.LowObs`. Action: controls [nu] in [-1, 1]. Reward: see `reward`.
+    Terminates when the robot falls, if that ends episodes, or the simulation breaks down; truncated
+    after `episode_steps` control steps. Reset: a random room and start, random yaw, noise on joints
+    and velocities.
 
     Metrics, per step: `step_x` and `step_y`, the torso's movement in units; `switched` 1 where a
-    subgoal has just ended, then `along` and `lateral` hold its displacement in units; `fell` and
-    `broke_down` 1 where the episode ended so.
+    subgoal has just ended, then `along` and `lateral` hold its displacement in units; `fell` 1
+    where the robot has just fallen, `broke_down` 1 where the simulation did.
     """
 
     def __init__(
@@ -240,6 +195,7 @@ class Locomotion:
         *,
         reward_options: low_config.LowReward,
         episode_steps: int = 500,
+        ends_at_fall: bool = True,
     ):
         """Builds the environment.
 
@@ -248,18 +204,20 @@ class Locomotion:
           rooms: mazes with a leading axis M; one is drawn at each reset.
           reward_options: the intrinsic reward.
           episode_steps: control steps per episode.
+          ends_at_fall: whether a fall terminates; else the robot may get up again.
         """
         self.robot = engine.robot
         self._engine = engine
         self._rooms = rooms
         self._reward_options = reward_options
         self._episode_steps = episode_steps
+        self._ends_at_fall = ends_at_fall
 
     def reset(self, key: Key[Array, ""]) -> base.EnvState:
         """Draws a room, a start, a posture and a first subgoal."""
         key, room_key, start_key, pose_key, direction_key = jax.random.split(key, 5)
         room = jax.random.randint(room_key, (), 0, self._rooms.wall.shape[0])
-        start_xy = maze_lib.draw_start(self._room(room), start_key)
+        start_xy = maze_lib.draw_start(self.room(room), start_key)
         walk = Walk(
             physics=draw_pose(self._engine, start_xy, pose_key),
             room=room,
@@ -286,7 +244,7 @@ class Locomotion:
         walk: Walk = state.inner
         key, direction_key = jax.random.split(state.key)
         before_xy = walk.physics.qpos[:2]
-        near = walls.nearby(self._room(walk.room), before_xy, self.robot.num_walls)
+        near = walls.nearby(self.room(walk.room), before_xy, self.robot.num_walls)
         stepped = self._engine.step(walk.physics, action, near)
         is_finite = jnp.isfinite(jnp.concatenate([stepped.qpos, stepped.qvel])).all()
         physics = jax.tree.map(
@@ -298,8 +256,9 @@ class Locomotion:
         step = walk.step + 1
         is_switch = step % self.robot.steps_per_subgoal == 0
         drawn = jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS)
-        fell = is_fallen(physics.qpos, self.robot)
-        terminated = fell | ~is_finite
+        is_down = is_fallen(physics.qpos, self.robot)
+        fell = is_down & (self._ends_at_fall | ~is_fallen(walk.physics.qpos, self.robot))
+        terminated = (is_down & self._ends_at_fall) | ~is_finite
         new_walk = walk.replace(
             physics=physics,
             subgoal_xy=jnp.where(is_switch, physics.qpos[:2], walk.subgoal_xy),
@@ -308,7 +267,9 @@ class Locomotion:
         )
         obs = self._observe(new_walk)
         step_xy = physics.qpos[:2] - before_xy
-        gain = reward(before_xy - walk.subgoal_xy, step_xy, walk.direction, self._reward_options)
+        gain = reward(
+            before_xy - walk.subgoal_xy, step_xy, walk.direction, terminated, self._reward_options
+        )
         switched = (is_switch & ~terminated).astype(jnp.float32)
         return base.EnvState(
             inner=new_walk,
@@ -329,12 +290,15 @@ class Locomotion:
             key=key,
         )
 
-    def _room(self, index: Int[Array, ""]) -> maze_lib.Maze:
+    def room(self, index: Int[Array, ""]) -> maze_lib.Maze:
+        """Returns one of the rooms."""
         return jax.tree.map(lambda leaf: leaf[index], self._rooms)
 
-    def _observe(self, walk: Walk) -> LowObs:
+    def _observe(self, walk: Walk) -> low_obs.LowObs:
         steps_left = self.robot.steps_per_subgoal - walk.step % self.robot.steps_per_subgoal
-        return observe(walk.physics, walk.subgoal_xy, steps_left, walk.direction, self.robot)
+        return low_obs.observe(
+            walk.physics, walk.subgoal_xy, steps_left, walk.direction, self.robot
+        )
 
 
 def draw_pose(
@@ -355,27 +319,3 @@ def draw_pose(
         qpos = qpos.at[2].set(yaw)
     qvel = robot.qvel_noise * jax.random.normal(qvel_key, (model.nv,))
     return engine_lib.reset(qpos, qvel)
-
-
-def _turned_proprioception(
-    proprioception: Float[Array, " P"], direction: Int[Array, ""], robot: robot_lib.Robot
-) -> Float[Array, " F"]:
-    """Turns posture and velocity into the frame of `direction`; 0 (x+) leaves them in the world's.
-
-    A planar robot's yaw becomes its cosine and sine, so that full turns don't add up.
-    """
-    if robot.root == "free":
-        num_qpos = (proprioception.shape[0] + 3) // 2  # nq + nv - 2 = P and nq = nv + 1
-        height, quat, joints, qvel = jnp.split(proprioception, [1, 5, num_qpos - 2])
-        posture = [height, rotations.quaternion_to_direction_frame(quat, direction), joints]
-    elif robot.root == "planar":
-        num_qpos = (proprioception.shape[0] + 2) // 2
-        yaw, joints, qvel = jnp.split(proprioception, [1, num_qpos - 2])
-        heading_xy = jnp.concatenate([jnp.cos(yaw), jnp.sin(yaw)])
-        posture = [rotations.to_direction_frame(heading_xy, direction), joints]
-    else:
-        num_qpos = (proprioception.shape[0] + 2) // 2
-        joints, qvel = jnp.split(proprioception, [num_qpos - 2])
-        posture = [joints]
-    velocity_xy = rotations.to_direction_frame(qvel[:2], direction)
-    return jnp.concatenate([*posture, velocity_xy, qvel[2:]])

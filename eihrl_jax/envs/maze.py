@@ -17,7 +17,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base, raster
-from eihrl_jax.envs import locomotion, task
+from eihrl_jax.envs import locomotion, low_obs, task
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import kinematics, walls
@@ -127,9 +127,9 @@ class PhysicsMaze:
         steps_left = jnp.int32(self.robot.steps_per_subgoal)
         return subgoal, walk.body.replace(is_running=is_running, steps_left=steps_left)
 
-    def low_obs(self, subgoal: Subgoal, body: Body) -> locomotion.LowObs:
-        """Returns what the low level knows, see `locomotion.observe`."""
-        return locomotion.observe(
+    def low_obs(self, subgoal: Subgoal, body: Body) -> low_obs.LowObs:
+        """Returns what the low level knows, see `low_obs.observe`."""
+        return low_obs.observe(
             body.physics, subgoal.start_xy, body.steps_left, subgoal.direction, self.robot
         )
 

@@ -39,7 +39,7 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
     Raises:
       base.UserError: the folder isn't empty; a maze, robot or policy is unknown or doesn't fit.
     """
-    _check_new(options.out)
+    report.check_new(options.out)
     chosen = _load_mazes(options)
     prepared = _prepare(options, mazes.stack(list(chosen.values())))
     plan = rollouts.Plan(
@@ -71,14 +71,6 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
     evaluation = results.Evaluation(about=about, cells=tuple(cells))
     report.write_results(options.out, evaluation)
     return evaluation
-
-
-def _check_new(out: pathlib.Path) -> None:
-    """Makes sure that nothing can be overwritten."""
-    if out.exists() and not out.is_dir():
-        raise base.UserError(f"out = {out} is not a folder")
-    if out.exists() and any(out.iterdir()):
-        raise base.UserError(f"out = {out} is not empty; name a new or empty folder")
 
 
 def _load_mazes(options: evaluate_config.EvaluateConfig) -> dict[str, mazes.Maze]:

@@ -16,7 +16,7 @@ import re
 
 import numpy as np
 
-from eihrl_jax import mazes
+from eihrl_jax import base, mazes
 from eihrl_jax.evaluation import animation, curves, heatmap, results, rollouts, tables
 from eihrl_jax.physics import kinematics, scene
 from eihrl_jax.robots import robot as robot_lib
@@ -25,6 +25,18 @@ _EPISODE_COLUMNS = (
     *("robot", "movement", "high", "low", "maze", "seed", "episode", "achieved", "goals"),
     *("return", "decisions", "fell", "outcome"),
 )
+
+
+def check_new(out: pathlib.Path) -> None:
+    """Makes sure that nothing can be overwritten.
+
+    Raises:
+      base.UserError: `out` is a file, or a folder with something in it.
+    """
+    if out.exists() and not out.is_dir():
+        raise base.UserError(f"out = {out} is not a folder")
+    if out.exists() and any(out.iterdir()):
+        raise base.UserError(f"out = {out} is not empty; name a new or empty folder")
 
 
 def file_name(system: results.System) -> str:

@@ -12,7 +12,7 @@ from eihrl_jax import base, mazes, policies, postures, raster
 from eihrl_jax.agents import hierarchy, peg_a2c
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import locomotion, maze, oracle_maze, task
+from eihrl_jax.envs import low_obs, maze, oracle_maze, task
 from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engine as engine_lib
@@ -117,10 +117,10 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
     features = jnp.zeros((1, _entry(meta, "num_features", path)))
     _check_shapes(params, jax.eval_shape(actor.init, jax.random.key(0), features)["params"], path)
 
-    def policy(obs: locomotion.LowObs, key: Key[Array, ""]) -> Float[Array, " nu"]:
+    def policy(obs: low_obs.LowObs, key: Key[Array, ""]) -> Float[Array, " nu"]:
         del key
-        mean, _ = actor.apply({"params": params}, locomotion.features(obs, robot, options))
-        return locomotion.ctrl_from_action(jnp.tanh(mean), obs.direction, robot, options)
+        mean, _ = actor.apply({"params": params}, low_obs.features(obs, robot, options))
+        return low_obs.ctrl_from_action(jnp.tanh(mean), obs, robot, options)
 
     return policy
 

@@ -1,7 +1,8 @@
 """Tables of success rates for the terminal and for Markdown, beside the paper's figures."""
 
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import rich.box
@@ -9,6 +10,7 @@ import rich.table
 
 from eihrl_jax.config.evaluate import RANDOM
 from eihrl_jax.evaluation import results, statistics
+from eihrl_jax.training import subgoals
 
 TABLE1_MAZES = {"random": "Maze-ori", "g1": "Maze-g1", "g2": "Maze-g2", "g3": "Maze-g3"}
 """Our names of the mazes of the paper's Table 1, and the paper's."""
@@ -152,21 +154,23 @@ def _tables(cells: Sequence[results.Cell]) -> list[Table]:
 
 def terminal(cells: Sequence[results.Cell]) -> list[rich.table.Table]:
     """Returns the tables of an evaluation for a `rich` console."""
-    tables = []
-    for table in _tables(cells):
-        shown = rich.table.Table(
-            title=table.title,
-            title_justify="left",
-            header_style="bold",
-            box=rich.box.SIMPLE_HEAD,
-            pad_edge=False,
-        )
-        for i, name in enumerate(table.header):
-            shown.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
-        for row in table.rows:
-            shown.add_row(*row, style="dim" if row[0].startswith("  ") else None)
-        tables.append(shown)
-    return tables
+    return [_shown(table) for table in _tables(cells)]
+
+
+def _shown(table: Table) -> rich.table.Table:
+    """Returns a table for a `rich` console."""
+    shown = rich.table.Table(
+        title=table.title,
+        title_justify="left",
+        header_style="bold",
+        box=rich.box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    for i, name in enumerate(table.header):
+        shown.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
+    for row in table.rows:
+        shown.add_row(*row, style="dim" if row[0].startswith("  ") else None)
+    return shown
 
 
 def markdown(cells: Sequence[results.Cell]) -> str:
@@ -177,3 +181,31 @@ def markdown(cells: Sequence[results.Cell]) -> str:
         lines = [f"| {' | '.join(row)} |" for row in [table.header, rule, *table.rows]]
         parts.append("\n".join([f"**{table.title}**", "", *lines]))
     return "\n\n".join(parts) + "\n"
+
+
+def of_subgoals(found: Mapping[str, subgoals.Statistics], robot: str) -> rich.table.Table:
+    """Returns the table of a low level's statistics by surrounding, for a `rich` console."""
+
+    def per(write: Callable[[subgoals.Statistics], str]) -> list[str]:
+        return [write(statistics) for statistics in found.values()]
+
+    rows = {
+        "subgoals": per(lambda s: f"{s.num_subgoals:,}"),
+        "  with a wall in the way, %": per(lambda s: f"{100 * s.blocked:.0f}"),
+        "displacement along, units": per(lambda s: f"{s.along_mean:.3f}"),
+        "  standard deviation": per(lambda s: f"{s.along_std:.3f}"),
+        "  distance to normal law": per(lambda s: f"{s.along_distance:.3f}"),
+        "displacement sideways, units": per(lambda s: f"{s.lateral_mean:.3f}"),
+        "  standard deviation ": per(lambda s: f"{s.lateral_std:.3f}"),
+        "  distance to normal law ": per(lambda s: f"{s.lateral_distance:.3f}"),
+        "falls per 1,000 subgoals": per(lambda s: f"{s.falls:.2f}"),
+        "  stood again, %": per(lambda s: _or_dash(100 * s.recovered, ".0f")),
+        "  after seconds": per(lambda s: _or_dash(s.recovery_seconds, ".1f")),
+        "simulation broke down": per(lambda s: f"{s.breakdowns:.2f}"),
+    }
+    header = [robot, *found]
+    return _shown(Table("", header, [[name, *values] for name, values in rows.items()]))
+
+
+def _or_dash(value: float, form: str) -> str:
+    return "-" if math.isnan(value) else format(value, form)

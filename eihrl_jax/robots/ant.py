@@ -2,7 +2,7 @@
 
 import pathlib
 
-from eihrl_jax.robots import robot
+from eihrl_jax.robots import robot, symmetry
 
 ROBOT = robot.Robot(
     name="ant",
@@ -14,5 +14,12 @@ ROBOT = robot.Robot(
     reach=1.25,
     body_radius=0.7,
     healthy_z=(0.2, 1.0),
+    symmetry=symmetry.Symmetry(
+        num_turns=4,
+        turn_joints=(3, -4, 5, 6, 7, -8, 1, 2),
+        turn_controls=(3, -4, 5, 6, 7, -8, 1, 2),
+        mirror_joints=(-7, 8, -5, 6, -3, 4, -1, 2),
+        mirror_controls=(-7, 8, -5, 6, -3, 4, -1, 2),
+    ),
 )
 """0.1 s per control step as in the HIRO line of ant mazes; 25 per subgoal (paper, Table 4)."""

@@ -3,6 +3,8 @@
 import dataclasses
 import pathlib
 
+from eihrl_jax.robots import symmetry as symmetry_lib
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Robot:
@@ -23,6 +25,7 @@ class Robot:
       healthy_z: torso heights outside of which the robot counts as fallen, units; None: it can't.
       qpos_noise: half-width of the uniform noise on the joints at reset, radians.
       qvel_noise: standard deviation of the noise on velocities at reset.
+      symmetry: how the body maps to itself; None: not at all, or not of use.
     """
 
     name: str
@@ -36,6 +39,7 @@ class Robot:
     healthy_z: tuple[float, float] | None
     qpos_noise: float = 0.1
     qvel_noise: float = 0.1
+    symmetry: symmetry_lib.Symmetry | None = None
 
     @property
     def control_step(self) -> float:

@@ -2,7 +2,7 @@
 
 import pathlib
 
-from eihrl_jax.robots import robot
+from eihrl_jax.robots import robot, symmetry
 
 ROBOT = robot.Robot(
     name="swimmer",
@@ -14,6 +14,13 @@ ROBOT = robot.Robot(
     reach=1.65,
     body_radius=0.5,
     healthy_z=None,
+    symmetry=symmetry.Symmetry(
+        num_turns=2,
+        turn_joints=(2, 1),
+        turn_controls=(2, 1),
+        mirror_joints=(-1, -2),
+        mirror_controls=(-1, -2),
+    ),
 )
 """Good swimmers of Gymnasium's leader boards return about 360 for 40 s, which is 0.36 units/s, so
 one cell takes some 8 s; a subgoal of 10 s leaves time to turn. A guess until one is trained.

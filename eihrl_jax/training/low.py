@@ -7,12 +7,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base, policies, postures, replay, robots
 from eihrl_jax.agents import droq
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import locomotion, rooms, wrappers
+from eihrl_jax.envs import locomotion, low_obs, rooms, wrappers
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.training import progress as progress_lib
 from eihrl_jax.training import run_folder, subgoals, versions
@@ -108,13 +108,13 @@ class LowTrainer:
         return state, metrics | subgoals.summarise(walked)
 
     def act(
-        self, actor_params: Any, obs: locomotion.LowObs, key: Key[Array, ""], deterministic: bool
+        self, actor_params: Any, obs: low_obs.LowObs, key: Key[Array, ""], deterministic: bool
     ) -> Float[Array, " nu"]:
         """Returns the controls of one robot."""
         action = self._learner.act(
             actor_params, self._features(obs), key, deterministic=deterministic
         )
-        return locomotion.ctrl_from_action(action, obs.direction, self.robot, self.config.low_input)
+        return low_obs.ctrl_from_action(action, obs, self.robot, self.config.low_input)
 
     def measure(
         self, actor_params: Any, key: Key[Array, ""], num_envs: int = 64, num_subgoals: int = 12
@@ -146,8 +146,8 @@ class LowTrainer:
             "num_actions": self._num_actions,
         }
 
-    def _features(self, obs: locomotion.LowObs) -> Float[Array, " F"]:
-        return locomotion.features(obs, self.robot, self.config.low_input)
+    def _features(self, obs: low_obs.LowObs) -> Float[Array, " F"]:
+        return low_obs.features(obs, self.robot, self.config.low_input)
 
     def _iterate(self, state: LowState, _: None) -> tuple[LowState, tuple[dict, dict]]:
         """Walks one step in every environment, then updates the learner."""
@@ -184,12 +184,13 @@ class LowTrainer:
         self, memory: replay.Replay, num_batches: int, key: Key[Array, ""]
     ) -> base.Transition:
         """Draws batches with leading axes [num_batches, B], relabelled if the run says so."""
-        row_key, direction_key = jax.random.split(key)
+        row_key, direction_key, share_key = jax.random.split(key, 3)
         shape = (num_batches, self.config.droq.batch_size)
         rows = replay.sample(memory, shape, row_key)
-        if self.config.relabel:
+        if self.config.relabel != "never":
             direction = jax.random.randint(direction_key, shape, 0, base.NUM_DIRECTIONS)
-            rows = jax.vmap(jax.vmap(locomotion.relabel))(rows, direction)
+            is_seen_anew = jax.random.bernoulli(share_key, self.config.relabel_share, shape)
+            rows = jax.vmap(jax.vmap(self._see_anew))(rows, direction, is_seen_anew)
         transition = functools.partial(
             locomotion.transition,
             robot=self.robot,
@@ -198,6 +199,16 @@ class LowTrainer:
             gamma=self.config.droq.gamma,
         )
         return jax.vmap(jax.vmap(transition))(rows)
+
+    def _see_anew(
+        self, row: locomotion.Experience, direction: Int[Array, ""], is_seen_anew: Bool[Array, ""]
+    ) -> locomotion.Experience:
+        """Returns a stored step, or what it would be if `direction` had been asked for."""
+        if self.config.relabel == "direction":
+            anew = locomotion.relabel(row, direction)
+        else:
+            anew = locomotion.restart(row, direction, self.robot)
+        return jax.tree.map(lambda new, old: jnp.where(is_seen_anew, new, old), anew, row)
 
     def _roll(
         self, actor_params: Any, key: Key[Array, ""], num_envs: int, num_subgoals: int
@@ -248,7 +259,7 @@ def train(config: low_config.LowConfig) -> None:
 
             def evaluate() -> dict[str, Float[Array, ""]]:
                 key = jax.random.fold_in(measure_key, done)
-                return measure(state.learner.actor_params, key)
+                return measure(state.learner.average_params, key)
 
             measured = evaluate()
             while done < config.num_iterations:
@@ -273,7 +284,7 @@ def _compile(
     with progress.compiling("training"):
         advance = jax.jit(trainer.advance, donate_argnums=0).lower(state).compile()
     with progress.compiling("measurement"):
-        measure = jax.jit(trainer.measure).lower(state.learner.actor_params, state.key).compile()
+        measure = jax.jit(trainer.measure).lower(state.learner.average_params, state.key).compile()
     return advance, measure
 
 
@@ -285,7 +296,7 @@ def _finish(
     posture_key: Key[Array, ""],
 ) -> None:
     """Writes policy, statistics and posture bank of a run that has reached its end."""
-    params = state.learner.actor_params
+    params = state.learner.average_params
     measure = jax.jit(functools.partial(trainer.measure, num_envs=256, num_subgoals=20))
     measured = {name: float(value) for name, value in measure(params, measure_key).items()}
     record = {

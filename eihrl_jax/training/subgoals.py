@@ -1,7 +1,71 @@
 """Subgoal statistics: how evenly a low level carries out its subgoals (paper, Definition 3.1)."""
 
+import dataclasses
+import json
+import math
+import pathlib
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+
+from eihrl_jax import base
+
+FILE = "subgoals.json"
+"""Name of the file in which a measurement keeps its figures."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Statistics:
+    """How a robot carries out random subgoals in one surrounding, free of walls in its way.
+
+    Attributes:
+      num_subgoals: number of subgoals begun upright.
+      blocked: share of them with a wall in the way, which the displacements leave out.
+      along_mean: displacement along the subgoal, units.
+      along_std: its standard deviation, units.
+      lateral_mean: displacement to the left of the subgoal, the bias, units.
+      lateral_std: its standard deviation, units.
+      correlation: between the two.
+      along_distance: Wasserstein-1 distance between the law of `along` minus one cell and the
+        normal law that the high level trains with, units.
+      lateral_distance: the same of `lateral`.
+      falls: per 1,000 subgoals begun upright.
+      recovered: share of the falls after which the robot stood again; NaN without falls.
+      recovery_seconds: median time that took; NaN without recoveries.
+      breakdowns: of the simulation, per 1,000 subgoals.
+    """
+
+    num_subgoals: int
+    blocked: float
+    along_mean: float
+    along_std: float
+    lateral_mean: float
+    lateral_std: float
+    correlation: float
+    along_distance: float
+    lateral_distance: float
+    falls: float
+    recovered: float
+    recovery_seconds: float
+    breakdowns: float
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation per axis, both axes taken together, units."""
+        return math.sqrt((self.along_std**2 + self.lateral_std**2) / 2.0)
+
+
+def load(folder: pathlib.Path) -> Statistics:
+    """Reads the figures for open floor from the folder of a measurement.
+
+    Raises:
+      base.UserError: there are none, or they are damaged.
+    """
+    path = folder / FILE
+    try:
+        return Statistics(**json.loads(path.read_text())["open floor"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise base.UserError(f"measurement {path} can't be read: {error}") from None
 
 
 def summarise(walked: dict[str, Float[Array, "T N"]]) -> dict[str, Float[Array, ""]]:

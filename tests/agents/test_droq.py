@@ -102,6 +102,21 @@ def test_actor_moves_every_period_and_targets_trail():
     assert is_same == [True, True, False]
 
 
+def test_average_of_the_actor_trails_it():
+    learner = _learner(actor_period=1, average_rate=0.25)
+    state = learner.init(jax.random.key(0))
+    batch = _batch(jax.random.key(1), lambda obs, action: obs[:, 0], 0.9)
+    for i in range(2):
+        new, _ = learner.update(state, batch, jax.random.key(i))
+        old, actor, found = (
+            jax.tree.leaves(tree)[1]
+            for tree in (state.average_params, new.actor_params, new.average_params)
+        )
+        np.testing.assert_allclose(found, 0.75 * old + 0.25 * actor, atol=1e-6)
+        assert not np.array_equal(found, actor)
+        state = new
+
+
 def test_same_key_same_result_and_one_compilation():
     learner = _learner()
     state = learner.init(jax.random.key(0))

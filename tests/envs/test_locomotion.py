@@ -34,16 +34,6 @@ def _env(engine, **options):
     )
 
 
-def _random_obs(robot, num_proprioception, seed=0):
-    rng = np.random.default_rng(seed)
-    return locomotion.LowObs(
-        proprioception=jnp.float32(rng.normal(size=num_proprioception)),
-        displacement_xy=jnp.float32(rng.normal(size=2)),
-        time_left=jnp.float32(0.4),
-        direction=jnp.int32(0),
-    )
-
-
 @pytest.mark.parametrize("direction", range(4))
 def test_plain_reward_is_equation_1(direction):
     rng = np.random.default_rng(direction)
@@ -53,81 +43,45 @@ def test_plain_reward_is_equation_1(direction):
         cosine = goal @ step / np.linalg.norm(step)
         expected = 3.0 * cosine * np.linalg.norm(step)
         found = locomotion.reward(
-            jnp.float32(before), jnp.float32(step), jnp.int32(direction), low_config.LowReward()
+            jnp.float32(before),
+            jnp.float32(step),
+            jnp.int32(direction),
+            jnp.array(False),
+            low_config.LowReward(),
         )
         np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_reward_is_zero_and_smooth_at_rest():
     slope = jax.grad(locomotion.reward, argnums=1)(
-        jnp.zeros(2), jnp.zeros(2), jnp.int32(0), low_config.LowReward()
+        jnp.zeros(2), jnp.zeros(2), jnp.int32(0), jnp.array(False), low_config.LowReward()
     )
     np.testing.assert_allclose(slope, [3.0, 0.0])
 
 
-def test_progress_beyond_a_cell_and_drift():
-    options = low_config.LowReward(scale=1.0, lateral_weight=0.5, stops_at_cell=True)
-
-    def pay(before, step):
-        return float(locomotion.reward(jnp.array(before), jnp.array(step), jnp.int32(2), options))
-
-    assert pay([0.0, 2.0], [0.0, 2.0]) == pytest.approx(1.0)  # one of the two units counts
-    assert pay([0.0, 4.0], [0.0, -0.5]) == pytest.approx(0.0)
-    assert pay([0.0, 0.0], [1.0, 0.0]) == pytest.approx(-0.5)
-    assert pay([1.0, 0.0], [-1.0, 0.0]) == pytest.approx(0.5)  # coming back pays the drift back
+def _pay(before, step, fell=False, **options):
+    """Reward of a step towards y+."""
+    options = low_config.LowReward(scale=1.0, **options)
+    before, step = jnp.array(before), jnp.array(step)
+    return float(locomotion.reward(before, step, jnp.int32(2), jnp.array(fell), options))
 
 
-@pytest.mark.parametrize("robot", [ANT, POINT, SWIMMER], ids=lambda robot: robot.name)
-@pytest.mark.parametrize("direction", range(4))
-def test_features_do_not_change_when_the_world_turns(robot, direction):
-    """A turned robot with a turned subgoal looks the same in the direction's frame."""
-    size = {"ant": 27, "point": 2, "swimmer": 8}[robot.name]
-    obs = _random_obs(robot, size)
-    options = low_config.LowInput(frame="direction", use_progress=True)
-    index = jnp.int32(direction)
-    proprioception = np.array(obs.proprioception)
-    if robot.root == "free":
-        proprioception[1:5] /= np.linalg.norm(proprioception[1:5])
-        obs = obs.replace(proprioception=jnp.float32(proprioception.copy()))
-        # The inverse of a turn by one direction is the turn by its mirror image.
-        inverse = jnp.int32((0, 1, 3, 2)[direction])
-        quat = rotations.quaternion_to_direction_frame(obs.proprioception[1:5], inverse)
-        proprioception[1:5] = quat
-    elif robot.root == "planar":
-        proprioception[0] += (0.0, np.pi, np.pi / 2, -np.pi / 2)[direction]
-    num_qvel = (size + 1) // 2 if robot.root == "free" else (size + 2) // 2
-    velocity = slice(size - num_qvel, size - num_qvel + 2)
-    proprioception[velocity] = rotations.to_world_frame(obs.proprioception[velocity], index)
-    turned = obs.replace(
-        proprioception=jnp.float32(proprioception),
-        displacement_xy=rotations.to_world_frame(obs.displacement_xy, index),
-        direction=index,
-    )
-    np.testing.assert_allclose(
-        locomotion.features(turned, robot, options),
-        locomotion.features(obs, robot, options),
-        atol=1e-5,
-    )
+def test_drift_costs_and_coming_back_pays_it_back():
+    assert _pay([0.0, 0.0], [1.0, 0.0], lateral_weight=0.5) == pytest.approx(-0.5)
+    assert _pay([1.0, 0.0], [-1.0, 0.0], lateral_weight=0.5) == pytest.approx(0.5)
 
 
-def test_world_features_hold_the_two_hot_code():
-    obs = _random_obs(ANT, 27).replace(direction=jnp.int32(2))
-    found = locomotion.features(obs, ANT, low_config.LowInput())
-    assert found.shape == (27 + 8,)
-    np.testing.assert_array_equal(found[27:], [0, 0, 0, 0, 1, 1, 0, 0])
+@pytest.mark.parametrize(("beyond_cell", "expected"), [(1.0, 2.0), (0.0, 1.0), (-1.0, 0.0)])
+def test_progress_beyond_a_cell(beyond_cell, expected):
+    """A step of two units, the second of which is beyond the cell."""
+    assert _pay([0.0, 2.0], [0.0, 2.0], beyond_cell=beyond_cell) == pytest.approx(expected)
+    back = _pay([0.0, 4.0], [0.0, -2.0], beyond_cell=beyond_cell)
+    assert back == pytest.approx(-expected)
 
 
-@pytest.mark.parametrize("robot", [ANT, POINT], ids=lambda robot: robot.name)
-def test_controls_and_actions_undo_each_other(robot):
-    options = low_config.LowInput(frame="direction")
-    action = jnp.array([0.3, -0.9])
-    for direction in range(4):
-        index = jnp.int32(direction)
-        ctrl = locomotion.ctrl_from_action(action, index, robot, options)
-        back = locomotion.action_from_ctrl(ctrl, index, robot, options)
-        np.testing.assert_allclose(back, action, atol=1e-7)
-    is_turned = not np.allclose(ctrl, action)
-    assert is_turned == (robot.root == "slide")
+def test_a_fall_costs_once():
+    assert _pay([0.0, 0.0], [0.0, 0.0], fell=True, fall_cost=5.0) == -5.0
+    assert _pay([0.0, 0.0], [0.0, 0.0], fell=False, fall_cost=5.0) == 0.0
 
 
 def _drive(env, direction_of, num_steps, key=0):
@@ -154,8 +108,8 @@ def test_point_collects_its_displacement_and_switches_every_k_steps(point_engine
 
 
 def test_stored_step_relabelled_pays_as_if_the_other_direction_had_been_asked(point_engine):
-    env = _env(point_engine, lateral_weight=0.5, stops_at_cell=True)
-    options = low_config.LowReward(lateral_weight=0.5, stops_at_cell=True)
+    env = _env(point_engine, lateral_weight=0.5, beyond_cell=0.0)
+    options = low_config.LowReward(lateral_weight=0.5, beyond_cell=0.0)
     states = _drive(env, lambda state: 2, 25)
     for before, after in itertools.pairwise(states):
         ctrl = jnp.array(base.DIRECTIONS_XY[2])
@@ -171,12 +125,49 @@ def test_stored_step_relabelled_pays_as_if_the_other_direction_had_been_asked(po
     assert is_switch
 
 
+def test_a_step_restarted_is_the_first_of_its_subgoal(point_engine):
+    """It is what a fresh subgoal would have stored: nothing moved yet, all time left."""
+    env = _env(point_engine)
+    states = _drive(env, lambda state: 2, 25)
+    for before, after in itertools.pairwise(states[12:]):
+        stored = locomotion.experience(before, jnp.zeros(2), after)
+        anew = locomotion.restart(stored, jnp.int32(1), POINT)
+        assert not anew.is_switch
+        for obs, displacement, steps_left in (
+            (anew.obs, np.zeros(2), 25),
+            (anew.next_obs, stored.step_xy, 24),
+        ):
+            assert int(obs.direction) == 1
+            assert float(obs.time_left) == pytest.approx(steps_left / 25)
+            np.testing.assert_array_equal(obs.displacement_xy, displacement)
+        np.testing.assert_array_equal(anew.next_obs.proprioception, stored.next_obs.proprioception)
+
+
 def test_a_turned_over_ant_has_fallen(ant_engine):
     stand = jnp.float32(ant_engine.model.key_qpos[0])
     assert not locomotion.is_fallen(stand, ANT)
     assert locomotion.is_fallen(stand.at[2].set(0.1), ANT)
     assert locomotion.is_fallen(stand.at[2].set(1.2), ANT)
     assert locomotion.is_fallen(stand.at[3:7].set(jnp.array([0.0, 1.0, 0.0, 0.0])), ANT)
+
+
+def test_where_falls_do_not_end_episodes_they_are_told_once(ant_engine):
+    options = low_config.LowReward()
+    env = locomotion.Locomotion(
+        ant_engine, rooms.open_floor(), reward_options=options, ends_at_fall=False
+    )
+    state = env.reset(jax.random.key(0))
+    lifted = state.inner.physics.replace(qpos=state.inner.physics.qpos.at[2].set(1.4))
+    step, zero = jax.jit(env.step), jnp.zeros(8)
+    above = step(state.replace(inner=state.inner.replace(physics=lifted)), zero)
+    assert not above.terminated and float(above.metrics["fell"]) == 0.0  # lay there before
+    low = lifted.replace(qpos=lifted.qpos.at[2].set(0.99), qvel=lifted.qvel.at[2].set(5.0))
+    told = []
+    state = state.replace(inner=state.inner.replace(physics=low))
+    for _ in range(3):
+        state = step(state, zero)
+        told.append(float(state.metrics["fell"]))
+    assert told == [1.0, 0.0, 0.0] and not state.terminated
 
 
 def test_fall_terminates_and_starts_anew(ant_engine):

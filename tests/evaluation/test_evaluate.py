@@ -10,7 +10,7 @@ from PIL import Image
 
 from eihrl_jax import base, mazes, policies, raster, robots
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.envs import locomotion
+from eihrl_jax.envs import locomotion, low_obs
 from eihrl_jax.evaluation import evaluate, report, results, rollouts, systems
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engine as engine_lib
@@ -34,8 +34,8 @@ def folder(tmp_path_factory):
     robot = robots.load("point")
     engine = engine_lib.make(robot)
     physics = locomotion.draw_pose(engine, jnp.zeros(2), jax.random.key(0))
-    obs = locomotion.observe(physics, jnp.zeros(2), jnp.int32(1), jnp.int32(0), robot)
-    num_features = len(locomotion.features(obs, robot, systems.low_config.LowInput()))
+    obs = low_obs.observe(physics, jnp.zeros(2), jnp.int32(1), jnp.int32(0), robot)
+    num_features = len(low_obs.features(obs, robot, systems.low_config.LowInput()))
     actor = droq.Actor(engine.model.nu, (4,))
     params = actor.init(jax.random.key(1), jnp.zeros((1, num_features)))["params"]
     meta = {

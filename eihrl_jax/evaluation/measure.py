@@ -1,0 +1,274 @@
+"""Measures a low level: random subgoals on open floor and in random rooms, step by step."""
+
+import json
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.special
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int
+
+from eihrl_jax import base, postures, robots
+from eihrl_jax.agents import hierarchy
+from eihrl_jax.config import low as low_config
+from eihrl_jax.config import measure as measure_config
+from eihrl_jax.envs import locomotion, rooms, wrappers
+from eihrl_jax.evaluation import report, scatter, systems
+from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.ops import rotations
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.robots import robot as robot_lib
+from eihrl_jax.training import progress as progress_lib
+from eihrl_jax.training import subgoals, versions
+
+SUBGOALS_PER_EPISODE = 20
+NUM_ROOMS = 256
+OPEN, ROOMS = "open floor", "random rooms"
+MIN_STEPS_TO_RECOVER = 25
+"""Falls are only counted as final if the robot lay at least so long."""
+
+_TOLD = ("switched", "along", "lateral", "fell", "broke_down")
+
+
+class Begun(struct.PyTreeNode):
+    """How things were when a subgoal was given.
+
+    Attributes:
+      is_upright: the robot had not fallen.
+      is_clear: no wall was in its way.
+    """
+
+    is_upright: Bool[Array, ""]
+    is_clear: Bool[Array, ""]
+
+
+class Steps(struct.PyTreeNode):
+    """What robots did, control step by control step. T: steps, N: robots.
+
+    Attributes:
+      direction: int32, the subgoal that was followed.
+      begun: how things were when it was given.
+      switched: float32, 1 where it ended with this step.
+      along: float32, displacement along it when it ended, units.
+      lateral: float32, displacement to its left when it ended, units.
+      was_down: bool, the robot lay on the ground before this step.
+      fell: float32, 1 where it fell in this step.
+      broke_down: float32, 1 where the simulation did.
+      ended: bool, the episode ended with this step.
+      qpos: float32, MuJoCo's positions before this step.
+    """
+
+    direction: Int[Array, "T N"]
+    begun: Begun
+    switched: Float[Array, "T N"]
+    along: Float[Array, "T N"]
+    lateral: Float[Array, "T N"]
+    was_down: Bool[Array, "T N"]
+    fell: Float[Array, "T N"]
+    broke_down: Float[Array, "T N"]
+    ended: Bool[Array, "T N"]
+    qpos: Float[Array, "T N nq"]
+
+
+def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statistics]:
+    """Measures a low level and fills its folder.
+
+    Args:
+      options: whose, and how long.
+
+    Returns:
+      The statistics by surrounding.
+
+    Raises:
+      base.UserError: the folder isn't empty; robot or policy is unknown or doesn't fit.
+    """
+    report.check_new(options.out)
+    robot = robots.load(options.robot)
+    policy = systems.load_low(options.low or options.robot, robot)
+    engine = engine_lib.make(robot, options.engine)
+    floors = {OPEN: rooms.open_floor(), ROOMS: rooms.random_rooms(NUM_ROOMS, options.seed)}
+    found: dict[str, subgoals.Statistics] = {}
+    with progress_lib.Progress(f"{robot.name}, subgoals", len(floors), unit="surroundings") as bar:
+        for index, (name, floor) in enumerate(floors.items()):
+            env = locomotion.Locomotion(
+                engine,
+                floor,
+                reward_options=low_config.LowReward(),
+                episode_steps=SUBGOALS_PER_EPISODE * robot.steps_per_subgoal,
+                ends_at_fall=False,
+            )
+            steps = jax.device_get(_walk(env, policy, options, index))
+            found[name] = summarise(steps, robot, options.sigma)
+            if name == OPEN:
+                first = steps
+            bar.update(index + 1, {})
+    options.out.mkdir(parents=True, exist_ok=True)
+    scatter.save(options.out / "subgoals.png", end_points(first), f"{robot.name}, open floor")
+    bank = postures.PostureBank(qpos=_postures(first, robot, options.num_postures))
+    postures.save(bank, options.out / "postures.npz", robot)
+    document = {name: vars(statistics) for name, statistics in found.items()}
+    about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
+    text = json.dumps(document | about | {"versions": versions.describe()}, indent=2)
+    (options.out / subgoals.FILE).write_text(text + "\n")
+    return found
+
+
+def _walk(
+    env: locomotion.Locomotion,
+    policy: hierarchy.LowPolicy,
+    options: measure_config.MeasureConfig,
+    stream: int,
+) -> Steps:
+    """Lets N robots follow random subgoals, each at least its share of `num_subgoals`."""
+    k = env.robot.steps_per_subgoal
+    num_steps = k * math.ceil(options.num_subgoals / options.num_envs)
+    resetting = wrappers.AutoReset(env)
+    reset_key, act_key = jax.random.split(jax.random.fold_in(jax.random.key(options.seed), stream))
+
+    @jax.jit
+    def walk(key: Any) -> Steps:
+        envs = jax.vmap(resetting.reset)(jax.random.split(key, options.num_envs))
+        nothing = jnp.zeros(options.num_envs, bool)
+        begun = Begun(is_upright=nothing, is_clear=nothing)
+        return jax.lax.scan(jax.vmap(advance), (envs, begun), length=num_steps)[1]
+
+    def advance(carry: tuple[base.EnvState, Begun], _: None) -> tuple[Any, Steps]:
+        state, begun = carry
+        before: locomotion.Walk = state.inner
+        was_down = locomotion.is_fallen(before.physics.qpos, env.robot)
+        now = Begun(is_upright=~was_down, is_clear=_is_clear(env, before))
+        is_first = before.step % k == 0
+        begun = jax.tree.map(lambda new, old: jnp.where(is_first, new, old), now, begun)
+        after = resetting.step(state, policy(state.obs, act_key))
+        told = {name: after.metrics[name] for name in _TOLD}
+        steps = Steps(
+            direction=before.direction,
+            begun=begun,
+            was_down=was_down,
+            ended=after.terminated | after.truncated,
+            qpos=before.physics.qpos,
+            **told,
+        )
+        return (after, begun), steps
+
+    return walk(reset_key)
+
+
+def _is_clear(env: locomotion.Locomotion, walk: locomotion.Walk) -> Bool[Array, ""]:
+    """Tells whether a robot that goes one cell from here could touch no wall."""
+    room, reach = env.room(walk.room), env.robot.reach
+    ahead = jnp.linspace(0.0, base.CELL + reach, 4)
+    aside = jnp.array([-reach, 0.0, reach])
+    grid = jnp.stack(jnp.meshgrid(ahead, aside), -1).reshape(-1, 2)
+    turned = jax.vmap(rotations.to_world_frame, in_axes=(0, None))(grid, walk.direction)
+    is_wall = jax.vmap(maze_lib.is_wall, in_axes=(None, 0))
+    return ~is_wall(room, walk.physics.qpos[None, :2] + turned).any()
+
+
+def end_points(steps: Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
+    """Returns displacements in the world's frame by direction, of subgoals begun clear, units."""
+    counts = _counts(steps)
+    along_lateral = np.stack([steps.along[counts], steps.lateral[counts]], -1)
+    direction = np.asarray(steps.direction)[counts]
+    found = {}
+    for index, (x, y) in enumerate(base.DIRECTIONS_XY):
+        to_world = np.array([[x, y], [-y, x]])  # rows: where `along` and `lateral` point
+        found[index] = along_lateral[direction == index] @ to_world
+    return found
+
+
+def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.Statistics:
+    """Computes the statistics of what robots did.
+
+    Args:
+      steps: on the host.
+      robot: whose they are.
+      sigma: standard deviation of the normal law to compare with, units.
+
+    Returns:
+      The statistics; displacements are NaN where no subgoal was completed clear and upright.
+    """
+    counts = _counts(steps)
+    along, lateral = np.asarray(steps.along)[counts], np.asarray(steps.lateral)[counts]
+    ended = (steps.switched > 0) & steps.begun.is_upright
+    begun = ended | ((steps.fell > 0) & ~ended) | (steps.broke_down > 0)
+    num_begun = max(int(begun.sum()), 1)
+    times = recovery_times(steps)
+    stood_again = times[np.isfinite(times)]
+    is_known = len(along) > 1
+    return subgoals.Statistics(
+        num_subgoals=int(begun.sum()),
+        blocked=float(1.0 - counts.sum() / max(ended.sum(), 1)),
+        along_mean=float(along.mean()) if is_known else math.nan,
+        along_std=float(along.std()) if is_known else math.nan,
+        lateral_mean=float(lateral.mean()) if is_known else math.nan,
+        lateral_std=float(lateral.std()) if is_known else math.nan,
+        correlation=_correlation(along, lateral) if is_known else math.nan,
+        along_distance=wasserstein(along - base.CELL, sigma) if is_known else math.nan,
+        lateral_distance=wasserstein(lateral, sigma) if is_known else math.nan,
+        falls=1000.0 * float((steps.fell > 0).sum()) / num_begun,
+        recovered=float(np.isfinite(times).mean()) if len(times) else math.nan,
+        recovery_seconds=(
+            float(np.median(stood_again)) * robot.control_step if len(stood_again) else math.nan
+        ),
+        breakdowns=1000.0 * float(steps.broke_down.sum()) / num_begun,
+    )
+
+
+def _correlation(one: Float[np.ndarray, " S"], other: Float[np.ndarray, " S"]) -> float:
+    """Returns Pearson's correlation, NaN where one of the two never changes."""
+    scale = one.std() * other.std()
+    return (
+        float(np.mean((one - one.mean()) * (other - other.mean())) / scale) if scale else math.nan
+    )
+
+
+def recovery_times(steps: Steps) -> Float[np.ndarray, " F"]:
+    """Returns, for each fall, the control steps until the robot stood again, inf for never.
+
+    A fall in an episode's last step is left out, and so are those after which the episode ended
+    within a subgoal's time without a recovery: nothing can be said of them.
+    """
+    times = []
+    for t, robot in np.argwhere(steps.fell > 0):
+        ended = np.flatnonzero(steps.ended[t:, robot])
+        end = t + (ended[0] if len(ended) else len(steps.ended) - 1 - t)
+        upright = np.flatnonzero(~steps.was_down[t + 1 : end + 1, robot])
+        if len(upright):
+            times.append(float(upright[0] + 1))
+        elif end - t >= MIN_STEPS_TO_RECOVER:
+            times.append(math.inf)
+    return np.array(times)
+
+
+def wasserstein(values: Float[np.ndarray, " S"], sigma: float) -> float:
+    """Returns the Wasserstein-1 distance between a sample and N(0, sigma).
+
+    It is the mean difference of quantiles, taken at the sample's (i + 1/2) / S.
+
+    >>> round(wasserstein(np.full(1001, 2.0), 0.3), 3)
+    2.0
+    """
+    ordered = np.sort(values)
+    levels = (np.arange(len(ordered)) + 0.5) / len(ordered)
+    return float(np.abs(ordered - sigma * scipy.special.ndtri(levels)).mean())
+
+
+def _counts(steps: Steps) -> Bool[np.ndarray, "T N"]:
+    """Tells which steps end a subgoal that was begun upright with no wall in the way."""
+    return (
+        (np.asarray(steps.switched) > 0)
+        & np.asarray(steps.begun.is_upright)
+        & np.asarray(steps.begun.is_clear)
+    )
+
+
+def _postures(steps: Steps, robot: robot_lib.Robot, num: int) -> Float[Array, "num nq"]:
+    """Picks postures spread evenly over robots and time, the first subgoal left out, x = y = 0."""
+    qpos = np.asarray(steps.qpos)[robot.steps_per_subgoal :]
+    upright = qpos[~np.asarray(steps.was_down)[robot.steps_per_subgoal :]]
+    index = np.linspace(0, len(upright) - 1, num).astype(np.int64)
+    return jnp.asarray(upright[index]).at[:, :2].set(0.0)

@@ -1,0 +1,90 @@
+"""Symmetries of a robot's body: ways to rename its parts that leave its physics as they are."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+from jaxtyping import Float, Int
+
+SignedOrder = tuple[int, ...]
+"""A signed permutation, counted from 1: entry i says which value moves to place i, and a negative
+one that its sign changes on the way."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Symmetry:
+    """Turns about the body's z axis, and the mirror at its x-z plane, that map it to itself.
+
+    A test checks each robot's against its physics: renaming and stepping commute.
+
+    Attributes:
+      num_turns: 4 for a body that is the same after quarter turns, 2 for half turns, else 1.
+      turn_joints: joints after one turn by 360 / num_turns degrees: at place i stands the joint
+        that is found where joint i was before the body's axes turned on.
+      turn_controls: controls after the same turn.
+      mirror_joints: joints after reflection; None: left and right are not alike.
+      mirror_controls: controls after reflection.
+    """
+
+    num_turns: int = 1
+    turn_joints: SignedOrder = ()
+    turn_controls: SignedOrder = ()
+    mirror_joints: SignedOrder | None = None
+    mirror_controls: SignedOrder | None = None
+
+    @property
+    def has_mirror(self) -> bool:
+        """Whether the body equals its reflection."""
+        return self.mirror_joints is not None
+
+    def joint_tables(self) -> tuple[Int[np.ndarray, "V J"], Float[np.ndarray, "V J"]]:
+        """Returns order and signs of the joints in each variant, see `tables`."""
+        return tables(self.num_turns, self.turn_joints, self.mirror_joints)
+
+    def control_tables(self) -> tuple[Int[np.ndarray, "V A"], Float[np.ndarray, "V A"]]:
+        """Returns order and signs of the controls in each variant, see `tables`."""
+        return tables(self.num_turns, self.turn_controls, self.mirror_controls)
+
+
+def tables(
+    num_turns: int, turn: SignedOrder, mirror: SignedOrder | None
+) -> tuple[Int[np.ndarray, "V J"], Float[np.ndarray, "V J"]]:
+    """Lists the signed permutations of all V variants: variant n + num_turns * m.
+
+    n counts turns, after which the body is mirrored where m is 1.
+
+    Returns:
+      `order` and `signs`, with which renaming is `signs[v] * values[order[v]]`.
+
+    >>> order, signs = tables(2, (2, 1), (-1, -2))
+    >>> (signs * order).tolist()
+    [[0.0, 1.0], [1.0, 0.0], [-0.0, -1.0], [-1.0, -0.0]]
+    """
+    size = len(turn or mirror or ())
+    identity = np.arange(1, size + 1)
+    turned = list(
+        itertools.accumulate(
+            range(num_turns - 1), lambda old, _: compose(old, turn), initial=identity
+        )
+    )
+    variants = turned + ([compose(old, mirror) for old in turned] if mirror is not None else [])
+    signed = np.stack(variants)
+    return np.abs(signed) - 1, np.sign(signed).astype(np.float32)
+
+
+def compose(first: np.ndarray, then: SignedOrder) -> np.ndarray:
+    """Returns the signed permutation that does `first` and then `then`.
+
+    >>> compose(np.array([2, -1]), (-2, 1)).tolist()
+    [1, 2]
+    """
+    second = np.asarray(then)
+    return np.sign(second) * first[np.abs(second) - 1]
+
+
+def inverse(
+    order: Int[np.ndarray, "V J"], signs: Float[np.ndarray, "V J"]
+) -> tuple[Int[np.ndarray, "V J"], Float[np.ndarray, "V J"]]:
+    """Returns the tables that undo the given ones."""
+    back = np.argsort(order, axis=1)
+    return back, np.take_along_axis(signs, back, axis=1)

@@ -1,0 +1,127 @@
+"""Statistics of subgoals from handmade walks, and a whole measurement of the shipped ant."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+from eihrl_jax import base, postures, robots
+from eihrl_jax.config import measure as measure_config
+from eihrl_jax.evaluation import measure, tables
+from eihrl_jax.training import subgoals
+
+ANT = dataclasses.replace(robots.load("ant"), steps_per_subgoal=2)
+
+
+def _steps(num_steps, num_robots=1, **given):
+    """Steps of robots that stand where they are, subgoals of two steps each."""
+    shape = (num_steps, num_robots)
+    no, zero = np.zeros(shape, bool), np.zeros(shape, np.float32)
+    fields = {
+        "direction": np.zeros(shape, np.int32),
+        "begun": measure.Begun(is_upright=~no, is_clear=~no),
+        "switched": zero + (np.arange(num_steps) % 2 == 1)[:, None],
+        "along": zero,
+        "lateral": zero,
+        "was_down": no,
+        "fell": zero,
+        "broke_down": zero,
+        "ended": no,
+        "qpos": np.zeros((*shape, 15), np.float32),
+    }
+    return measure.Steps(**fields | given)
+
+
+def _column(*values, kind=np.float32):
+    return np.array(values, kind)[:, None]
+
+
+def test_moments_are_those_of_clear_subgoals_begun_upright():
+    is_clear = _column(1, 1, 1, 1, 0, 0, 1, 1, kind=bool)
+    is_upright = _column(1, 1, 1, 1, 1, 1, 0, 0, kind=bool)
+    found = measure.summarise(
+        _steps(
+            8,
+            along=_column(0, 2.0, 0, 4.0, 0, 9.0, 0, 9.0),
+            lateral=_column(0, 0.5, 0, -0.1, 0, 9.0, 0, 9.0),
+            begun=measure.Begun(is_upright=is_upright, is_clear=is_clear),
+        ),
+        ANT,
+        sigma=0.3,
+    )
+    assert found.num_subgoals == 3 and found.blocked == pytest.approx(1 / 3)
+    assert (found.along_mean, found.along_std) == pytest.approx((3.0, 1.0))
+    assert (found.lateral_mean, found.lateral_std) == pytest.approx((0.2, 0.3))
+    assert found.correlation == pytest.approx(-1.0)
+    assert found.sigma == pytest.approx(math.sqrt((1.0 + 0.09) / 2))
+    assert found.falls == 0.0 and math.isnan(found.recovered)
+
+
+def test_falls_and_recoveries():
+    """Down in steps 1 to 3 of the first robot; the second falls in step 2 and stays down."""
+    num = 40
+    fell, was_down = np.zeros((num, 2), np.float32), np.zeros((num, 2), bool)
+    fell[1, 0] = fell[2, 1] = 1
+    was_down[2:5, 0] = was_down[3:, 1] = True
+    steps = _steps(num, 2, fell=fell, was_down=was_down)
+    assert measure.recovery_times(steps).tolist() == [4.0, math.inf]
+    found = measure.summarise(steps, ANT, sigma=0.3)
+    assert found.recovered == 0.5 and found.recovery_seconds == pytest.approx(0.4)
+    assert found.falls == pytest.approx(2000 / found.num_subgoals)
+
+
+def test_a_fall_shortly_before_the_end_says_nothing_of_recovery():
+    fell, ended, was_down = (np.zeros((40, 1)) for _ in range(3))
+    fell[10], ended[12], was_down[11:13] = 1, 1, 1
+    steps = _steps(40, fell=fell, ended=ended > 0, was_down=was_down > 0)
+    assert len(measure.recovery_times(steps)) == 0
+
+
+def test_end_points_are_in_the_worlds_frame():
+    steps = _steps(
+        8,
+        direction=np.repeat(np.arange(4, dtype=np.int32), 2)[:, None],
+        along=_column(*[3.0] * 8),
+        lateral=_column(*[1.0] * 8),
+    )
+    found = measure.end_points(steps)
+    left_xy = ((0, 1), (0, -1), (-1, 0), (1, 0))
+    for index, unit_xy in enumerate(base.DIRECTIONS_XY):
+        expected = 3.0 * np.array(unit_xy) + np.array(left_xy[index])
+        np.testing.assert_allclose(found[index], expected[None])
+
+
+@pytest.mark.parametrize(("shift", "sigma", "expected"), [(0.0, 0.3, 0.0), (-0.7, 0.3, 0.7)])
+def test_distance_to_the_normal_law(shift, sigma, expected):
+    sample = np.random.default_rng(0).normal(shift, 0.3, 40_000)
+    assert measure.wasserstein(sample, sigma) == pytest.approx(expected, abs=0.01)
+
+
+def test_distance_of_normal_laws_of_other_widths():
+    """Between N(0, a) and N(0, b) it is |a - b| times the mean of |N(0, 1)|."""
+    sample = np.random.default_rng(1).normal(0.0, 0.5, 40_000)
+    expected = 0.2 * math.sqrt(2 / math.pi)
+    assert measure.wasserstein(sample, 0.3) == pytest.approx(expected, abs=0.01)
+
+
+def test_measuring_the_shipped_ant(tmp_path):
+    out = tmp_path / "out"
+    options = measure_config.MeasureConfig(num_subgoals=100, num_envs=10, num_postures=50, out=out)
+    found = measure.measure(options)
+    np.testing.assert_equal(vars(subgoals.load(out)), vars(found[measure.OPEN]))
+    assert found[measure.OPEN].along_mean > 2.0 and found[measure.OPEN].blocked == 0.0
+    assert 0.0 < found[measure.ROOMS].blocked < 1.0
+    assert postures.load(out / "postures.npz", robots.load("ant")).qpos.shape == (50, 15)
+    assert (out / "subgoals.png").stat().st_size > 10_000
+    assert tables.of_subgoals(found, "ant").row_count == 12
+    with pytest.raises(base.UserError, match="not empty"):
+        measure.measure(options)
+
+
+@pytest.mark.parametrize("text", ["", "{}", json.dumps({measure.OPEN: {"sigma": 1}})])
+def test_damaged_figures_are_named(tmp_path, text):
+    (tmp_path / subgoals.FILE).write_text(text)
+    with pytest.raises(base.UserError, match=r"subgoals\.json can't be read"):
+        subgoals.load(tmp_path)
