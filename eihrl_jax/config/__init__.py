@@ -72,6 +72,8 @@ def _build(annotation: Any, value: Any, name: str) -> Any:
 
 def _build_union(arguments: tuple[Any, ...], value: Any, name: str) -> Any:
     for argument in arguments:
+        if dataclasses.is_dataclass(argument) and isinstance(value, dict):
+            return _build(argument, value, name)  # with what is wrong inside of it
         try:
             return _build(argument, value, name)
         except base.UserError:

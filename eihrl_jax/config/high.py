@@ -25,6 +25,8 @@ class Task:
       step: units that a subgoal moves the body (paper, Table 4).
       sigma: standard deviation in units and per axis of the offset added to every move, the epsilon
         of the paper's epsilon-Invariant Randomization (Sec. 3.2); a tenth of the step is ours.
+      measured: folder of `experiments.measure_low`, whose mean displacement, standard deviation and
+        postures take the place of step, sigma and the shipped postures.
       num_substeps: pieces in which a move is made, each stopped by walls.
       phantom_walls: probability that a wall that isn't there is painted into what the policy sees
         while it learns; not in the paper.
@@ -38,6 +40,7 @@ class Task:
     pixels: int = 15
     step: float = 3.0
     sigma: float = 0.3
+    measured: pathlib.Path | None = None
     num_substeps: int = 6
     phantom_walls: float = 0.0
 

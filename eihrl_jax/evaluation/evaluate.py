@@ -99,7 +99,9 @@ def _prepare(options: evaluate_config.EvaluateConfig, stacked: mazes.Maze) -> li
             views = dict.fromkeys(high.view for high in highs)
             envs = dict(zip(views, _envs(options, robot, low, stacked, views), strict=True))
             for high in highs:
-                system = results.System(robot=name, movement=movement, high=high.label, low=low)
+                system = results.System(
+                    robot=robot.name, movement=movement, high=high.label, low=low
+                )
                 prepared.append(_Prepared(system, robot, envs[high.view], high.policy))
     return prepared
 

@@ -108,7 +108,7 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
     options.out.mkdir(parents=True, exist_ok=True)
     scatter.save(options.out / "subgoals.png", end_points(first), f"{robot.name}, open floor")
     bank = postures.PostureBank(qpos=_postures(first, robot, options.num_postures))
-    postures.save(bank, options.out / "postures.npz", robot)
+    postures.save(bank, options.out / subgoals.POSTURES, robot)
     document = {name: vars(statistics) for name, statistics in found.items()}
     about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
     text = json.dumps(document | about | {"versions": versions.describe()}, indent=2)

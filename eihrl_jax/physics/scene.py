@@ -8,6 +8,9 @@ import mujoco
 from eihrl_jax import base
 from eihrl_jax.robots import robot as robot_lib
 
+BOTH, FLOOR_ONLY, WALLS_ONLY = 1, 2, 4
+"""Values of `contype` of a robot's geoms, by what they collide with."""
+
 PARKED_XY = (-1000.0, 1000.0)
 """Where a wall box waits while no wall is near, units."""
 
@@ -15,7 +18,6 @@ PARKED_XY = (-1000.0, 1000.0)
 # The floor has a margin, walls have none because MJX ignores it between boxes and round geoms.
 _CONTACT = {
     "contype": 0,
-    "conaffinity": 1,
     "condim": 3,
     "friction": [1.0, 0.5, 0.5],
     "solref": [0.02, 1.0],
@@ -42,7 +44,7 @@ def build(robot: robot_lib.Robot) -> mujoco.MjModel:
     try:
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
     except (ValueError, OSError) as error:
-        raise base.UserError(f"robot {robot.name!r}: {robot.mjcf}: {error}") from None
+        raise _unusable(robot, error) from None
     spec.option.timestep = robot.physics_step
     is_in_fluid = spec.option.density > 0 or spec.option.viscosity > 0
     spec.option.integrator = (
@@ -59,6 +61,7 @@ def build(robot: robot_lib.Robot) -> mujoco.MjModel:
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 1.0],
         margin=0.01,
+        conaffinity=BOTH | FLOOR_ONLY,
         **_CONTACT,
     )
     half = base.CELL / 2
@@ -69,6 +72,46 @@ def build(robot: robot_lib.Robot) -> mujoco.MjModel:
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[half, half, half],
             margin=0.0,
+            conaffinity=BOTH | WALLS_ONLY,
             **_CONTACT,
         )
-    return spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise _unusable(robot, error) from None
+    _check(model, robot)
+    return model
+
+
+def _unusable(robot: robot_lib.Robot, error: Exception) -> base.UserError:
+    """Says in one line what MuJoCo says in several."""
+    return base.UserError(f"robot {robot.name!r}: {robot.mjcf}: {' '.join(str(error).split())}")
+
+
+_ROOT_JOINTS = {
+    "free": (mujoco.mjtJoint.mjJNT_FREE,),
+    "planar": (*[mujoco.mjtJoint.mjJNT_SLIDE] * 2, mujoco.mjtJoint.mjJNT_HINGE),
+    "slide": (mujoco.mjtJoint.mjJNT_SLIDE,) * 2,
+}
+
+
+def _check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
+    """Checks what the package takes for granted; a user's own model may be otherwise."""
+    what = f"robot {robot.name!r}: {robot.mjcf}"
+    joints = _ROOT_JOINTS[robot.root]
+    if tuple(model.jnt_type[: len(joints)]) != tuple(map(int, joints)):
+        raise base.UserError(f"{what}: its first joints aren't those of root {robot.root!r}")
+    if robot.root != "free" and (model.jnt_axis[:2, :2] != [[1, 0], [0, 1]]).any():
+        raise base.UserError(f"{what}: its first two joints must slide along x and y")
+    if not model.nu:
+        raise base.UserError(f"{what}: it has no actuator")
+    if (model.actuator_ctrlrange != [-1.0, 1.0]).any():
+        raise base.UserError(f"{what}: every actuator's ctrlrange must be -1 1")
+    if not model.nkey:
+        raise base.UserError(f"{what}: it has no keyframe, the posture in which episodes start")
+    if robot.symmetry is not None:
+        num_joints = model.nv - {"free": 6, "planar": 3, "slide": 2}[robot.root]
+        for name, size in (("joints", num_joints), ("controls", model.nu)):
+            found = robot.symmetry.size(name)
+            if found != size:
+                raise base.UserError(f"{what}: symmetry orders {found} {name}, it has {size}")

@@ -2,8 +2,14 @@
 
 import dataclasses
 import pathlib
+import re
 
+from eihrl_jax import base
+from eihrl_jax.config import checks
 from eihrl_jax.robots import symmetry as symmetry_lib
+
+ROOTS = ("free", "planar", "slide")
+"""Ways in which a robot's torso is joined to the world."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -36,10 +42,27 @@ class Robot:
     steps_per_subgoal: int
     reach: float
     body_radius: float
-    healthy_z: tuple[float, float] | None
+    healthy_z: tuple[float, float] | None = None
     qpos_noise: float = 0.1
     qvel_noise: float = 0.1
     symmetry: symmetry_lib.Symmetry | None = None
+
+    def __post_init__(self) -> None:
+        """Checks ranges, since descriptions may come from files."""
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", self.name):
+            raise base.UserError(f"name = {self.name!r} must be letters, digits, - and _")
+        checks.one_of("root", self.root, ROOTS)
+        checks.in_range("physics_step", self.physics_step, above=0.0, high=0.1)
+        checks.in_range("num_substeps", self.num_substeps, 1, 1000)
+        checks.in_range("steps_per_subgoal", self.steps_per_subgoal, 1, 10_000)
+        checks.in_range("reach", self.reach, above=0.0, high=base.CELL)
+        checks.in_range("body_radius", self.body_radius, above=0.0, high=base.CELL / 2)
+        checks.in_range("qpos_noise", self.qpos_noise, 0.0, 3.2)
+        checks.in_range("qvel_noise", self.qvel_noise, 0.0, 10.0)
+        if self.healthy_z is not None and not self.healthy_z[0] < self.healthy_z[1]:
+            raise base.UserError(f"healthy_z = {self.healthy_z} must be a height and a greater one")
+        if self.healthy_z is not None and self.root != "free":
+            raise base.UserError(f"healthy_z: a robot with root {self.root!r} can't fall")
 
     @property
     def control_step(self) -> float:

@@ -13,7 +13,6 @@ ROBOT = robot.Robot(
     steps_per_subgoal=100,
     reach=1.65,
     body_radius=0.5,
-    healthy_z=None,
     symmetry=symmetry.Symmetry(
         num_turns=2,
         turn_joints=(2, 1),

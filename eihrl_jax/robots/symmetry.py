@@ -6,6 +6,9 @@ import itertools
 import numpy as np
 from jaxtyping import Float, Int
 
+from eihrl_jax import base
+from eihrl_jax.config import checks
+
 SignedOrder = tuple[int, ...]
 """A signed permutation, counted from 1: entry i says which value moves to place i, and a negative
 one that its sign changes on the way."""
@@ -32,10 +35,33 @@ class Symmetry:
     mirror_joints: SignedOrder | None = None
     mirror_controls: SignedOrder | None = None
 
+    def __post_init__(self) -> None:
+        """Checks that the orders are signed permutations; they may come from a file."""
+        checks.in_range("num_turns", self.num_turns, 1, 64)
+        for field in dataclasses.fields(self):
+            order = getattr(self, field.name)
+            if not isinstance(order, tuple):
+                continue
+            if sorted(map(abs, order)) != list(range(1, len(order) + 1)):
+                raise base.UserError(
+                    f"{field.name} = {order} must hold each of 1 to {len(order)} once, either sign"
+                )
+        if self.num_turns > 1 and self.mirror_joints is not None:
+            for what in ("joints", "controls"):
+                turn, mirror = getattr(self, f"turn_{what}"), getattr(self, f"mirror_{what}")
+                if len(turn) != len(mirror or ()):
+                    raise base.UserError(f"turn_{what} and mirror_{what} differ in length")
+        if (self.mirror_joints is None) != (self.mirror_controls is None):
+            raise base.UserError("mirror_joints and mirror_controls go together")
+
     @property
     def has_mirror(self) -> bool:
         """Whether the body equals its reflection."""
         return self.mirror_joints is not None
+
+    def size(self, what: str) -> int:
+        """Returns the number of "joints" or "controls" that are renamed."""
+        return len(getattr(self, f"turn_{what}") or getattr(self, f"mirror_{what}") or ())
 
     def joint_tables(self) -> tuple[Int[np.ndarray, "V J"], Float[np.ndarray, "V J"]]:
         """Returns order and signs of the joints in each variant, see `tables`."""

@@ -15,7 +15,8 @@ from eihrl_jax.config import checks
 from eihrl_jax.config import high as high_config
 from eihrl_jax.envs import oracle_maze, phantoms, wrappers
 from eihrl_jax.networks import patch_actor_critic
-from eihrl_jax.training import parallel, run_folder, versions
+from eihrl_jax.robots import robot as robot_lib
+from eihrl_jax.training import parallel, run_folder, subgoals, versions
 from eihrl_jax.training import progress as progress_lib
 
 MAY_CHANGE = ("coordinator", "num_processes", "process_id")
@@ -40,6 +41,7 @@ def train(config: high_config.HighConfig) -> float:
     Raises:
       base.UserError: an option or the run folder is not as it should be.
     """
+    run_folder.check_free(config.run, resume=config.resume)  # before anything slow
     parallel.connect(config.coordinator, config.num_processes, config.process_id)
     env = make_env(config.task)
     agent = make_agent(env, config)
@@ -87,19 +89,31 @@ def make_env(task: high_config.Task) -> oracle_maze.OracleMaze:
     """
     robot = robots.load(task.robot)
     view = raster.View(extent=task.extent, pixels=task.pixels)
+    step, sigma, bank = _walking(task, robot)
     movement = oracle_maze.Movement(
-        step=task.step,
-        sigma=task.sigma,
+        step=step,
+        sigma=sigma,
         num_substeps=task.num_substeps,
         body_radius=robot.body_radius,
     )
     return oracle_maze.OracleMaze(
         mazes.load(task.maze, num_decisions=task.num_decisions),
-        postures.footprints(robot, postures.for_robot(robot), view),
+        postures.footprints(robot, bank, view),
         view=view,
         movement=movement,
         reward=task.reward,
     )
+
+
+def _walking(
+    task: high_config.Task, robot: robot_lib.Robot
+) -> tuple[float, float, postures.PostureBank]:
+    """Returns step, sigma and postures of the oracle: those asked for, or as they were measured."""
+    if task.measured is None:
+        return task.step, task.sigma, postures.for_robot(robot)
+    statistics = subgoals.load(task.measured)
+    bank = postures.load(task.measured / subgoals.POSTURES, robot)
+    return statistics.along_mean, statistics.sigma, bank
 
 
 def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> peg_a2c.PegA2C:

@@ -13,6 +13,7 @@ its metrics.csv then has the rows that the uninterrupted run would have.
 import csv
 import fcntl
 import json
+import math
 import os
 import pathlib
 from collections.abc import Collection, Mapping
@@ -69,11 +70,7 @@ class RunFolder:
         """
         if jax.process_index() != 0:
             return cls(path, None)  # The first process looks after the folder for all.
-        holds_something = _holds_something(path)
-        if holds_something and not resume:
-            raise base.UserError(
-                f"{path} exists already: go on with --resume or name another --run"
-            )
+        holds_something = check_free(path, resume=resume)
         if holds_something and not (path / _CONFIG).is_file():
             raise base.UserError(f"{path} holds no run to resume: it has no {_CONFIG}")
         text = config.to_json(options)
@@ -149,11 +146,24 @@ class RunFolder:
         row = [step, *(values.get(name, "") for name in self._columns)]
         table.write(",".join(map(str, row)) + "\n")
         for name, value in values.items():
-            events.add_scalar(name, value, step)
+            if math.isfinite(value):
+                events.add_scalar(name, value, step)
 
     def _open(self) -> tuple[TextIO, tensorboardX.SummaryWriter]:
         table = (self.path / _METRICS).open("a", buffering=1)
         return table, _open_events(self.path / "tensorboard", self._first_step)
+
+
+def check_free(path: pathlib.Path, *, resume: bool) -> bool:
+    """Tells whether a folder holds something, which it only may where a run is to go on.
+
+    Raises:
+      UserError: it holds something and `resume` is false, or it is no folder.
+    """
+    holds_something = _holds_something(path)
+    if holds_something and not resume:
+        raise base.UserError(f"{path} exists already: go on with --resume or name another --run")
+    return holds_something
 
 
 def _holds_something(path: pathlib.Path) -> bool:

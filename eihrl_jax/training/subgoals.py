@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 
 from eihrl_jax import base
 
-FILE = "subgoals.json"
-"""Name of the file in which a measurement keeps its figures."""
+FILE, POSTURES = "subgoals.json", "postures.npz"
+"""Names of the files in which a measurement keeps its figures and its posture bank."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,8 @@
 """Every robot loads, settles, steps without exploding on both engines, and is as it says it is."""
 
+import pathlib
+import re
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -32,6 +35,9 @@ def ctrls_of(engine, num_steps, kind):
     shape = (num_steps, NUM, engine.model.nu)
     drawn = np.random.default_rng(0).choice([-1.0, 1.0], shape)
     return (drawn if kind == "random" else np.zeros(shape)).astype(np.float32)
+
+
+CART = pathlib.Path(__file__).parents[2] / "docs" / "robots" / "cart.toml"
 
 
 def test_names():
@@ -149,3 +155,67 @@ def test_mjx_agrees_on_the_other_robots(name):
     truth, _ = roll(c_engine, ctrls)
     qpos, _ = roll(mjx_engine, ctrls)
     np.testing.assert_allclose(qpos, truth, atol=5e-3)
+
+
+def _changed(tmp_path, old, new, in_xml=False):
+    """A copy of the example's files in which one text is another."""
+    for suffix in (".toml", ".xml"):
+        text = CART.with_suffix(suffix).read_text()
+        if (suffix == ".xml") == in_xml:
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / f"cart{suffix}").write_text(text)
+    return str(tmp_path / "cart.toml")
+
+
+def test_a_robot_of_ones_own_moves_and_meets_walls():
+    robot = robots.load(str(CART))
+    engine = engine_lib.make(robot, "mujoco")
+    step = jax.jit(engine.step)
+    walls_xy = jnp.tile(jnp.array(scene.PARKED_XY), (robot.num_walls, 1))
+    state = engine_lib.reset(jnp.zeros(3), jnp.zeros(3))
+    for _ in range(30):
+        state = step(state, jnp.array([1.0, 0.0]), walls_xy)
+    assert 3.0 < float(state.qpos[0]) < 9.0 and abs(float(state.qpos[1])) < 1e-3
+    walls_xy = walls_xy.at[0].set(jnp.array([3.5, 0.0]))  # its face is at x = 2
+    state = engine_lib.reset(jnp.zeros(3), jnp.zeros(3))
+    for _ in range(30):
+        state = step(state, jnp.array([1.0, 0.0]), walls_xy)
+    # The mast, which alone has contype 4, reaches 0.72 units ahead; the hull 0.75.
+    assert 1.2 < float(state.qpos[0]) < 1.3
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "in_xml", "message"),
+    [
+        ('"planar"', '"wheeled"', False, "root = 'wheeled' must be one of free, planar, slide"),
+        (
+            "reach = 0.9",
+            "reach = 9.0",
+            False,
+            "reach = 9.0 must be at most 3.0 and greater than 0.0",
+        ),
+        ("reach = 0.9", "", False, "argument: 'reach'"),
+        ("reach = 0.9", "wings = 2", False, "unknown option 'wings'"),
+        ("reach = 0.9", "reach = nine", False, "is no TOML"),
+        ('"cart"', '"ant"', False, "name 'ant' is taken by the package"),
+        ("[1, -2]", "[1, 1]", False, "mirror_controls = (1, 1) must hold each of 1 to 2 once"),
+        ("[1, -2]", "[1, -2, 3]", False, "symmetry orders 3 controls, it has 2"),
+        ("cart.xml", "lorry.xml", False, "lorry.xml"),
+        ("<mujoco", "<mujok", True, "cart.xml"),
+        ('ctrlrange="-1 1"', 'ctrlrange="-2 2"', True, "every actuator's ctrlrange must be -1 1"),
+        ('axis="0 1 0"', 'axis="0 0 1"', True, "must slide along x and y"),
+        ('type="hinge"', 'type="slide"', True, "aren't those of root 'planar'"),
+        ('<key name="stand" qpos="0 0 0"/>', "", True, "it has no keyframe"),
+    ],
+)
+def test_what_is_wrong_with_a_description_is_said(tmp_path, old, new, in_xml, message):
+    path = _changed(tmp_path, old, new, in_xml)
+    with pytest.raises(base.UserError, match=re.escape(message)) as error:
+        scene.build(robots.load(path))
+    assert "\n" not in str(error.value) and "robot" in str(error.value)
+
+
+def test_a_missing_description_is_named():
+    with pytest.raises(base.UserError, match=r"robot 'no\.toml': No such file"):
+        robots.load("no.toml")
