@@ -26,7 +26,7 @@ def low_best() -> low_config.LowConfig:
     return low_config.LowConfig(
         preset="best",
         num_envs=64,
-        num_iterations=20_000,
+        num_iterations=10_000,
         warmup_iterations=200,
         updates_per_iteration=8,
         capacity=640_000,

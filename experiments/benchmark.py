@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 from eihrl_jax import base
 from eihrl_jax.config import checks
 from eihrl_jax.training import parallel, versions
-from experiments import _bench_high, _bench_physics, _cli
+from experiments import _bench_high, _bench_low, _bench_physics, _cli
 
 Part = Literal[
     "speed",
@@ -21,6 +21,8 @@ Part = Literal[
     "maze_cost",
     "engines",
     "episodes",
+    "walking",
+    "updates",
 ]
 
 
@@ -31,12 +33,13 @@ class BenchmarkConfig:
     Run it on a machine that does nothing else; the figures stand beside the machine's name.
 
     Attributes:
-      parts: what to measure; default: everything, about 30 minutes on two cores.
+      parts: what to measure; default: everything but updates, which needs sbx-rl installed; about
+        30 minutes on two cores.
       num_seeds: training runs of each kind in parts phantom_walls, learning and wide_view.
       out: folder of the results, must be new.
     """
 
-    parts: tuple[Part, ...] = get_args(Part)
+    parts: tuple[Part, ...] = tuple(part for part in get_args(Part) if part != "updates")
     num_seeds: int = 5
     out: pathlib.Path = pathlib.Path("runs/benchmark")
 
@@ -80,6 +83,8 @@ def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
             name: _bench_physics.maze_cost_ratio(name) for name in ("mujoco", "mjx")
         },
         "engines": _bench_physics.engine_deviations,
+        "walking": _bench_low.walking_rate,
+        "updates": _bench_low.updates_per_second,
         "episodes": lambda: _bench_high.full_episodes_seconds(config.out / "episodes", "ant"),
     }
 
@@ -117,6 +122,17 @@ def _rows(part: str, result: Any) -> list[str]:
         ]
     if part == "engines":
         return [f"| MJX against MuJoCo C | {json.dumps(row)} |" for row in result]
+    if part == "walking":
+        return [
+            "| ants that walk with the policy in the loop against the engine alone, 64 ants | "
+            f"{100 * result['ratio']:.0f} % of {result['engine']:,.0f} control steps/s |"
+        ]
+    if part == "updates":
+        return [
+            "| DroQ updates per second, batch 256, actor every 20th | "
+            f"{result['ours']:,.0f}; sbx {result['sbx']:,.0f}: {result['ratio']:.2f} times; "
+            f"{100 * result['of_limit']:.0f} % of what {result['gflops']:,.0f} GFLOP/s allow |"
+        ]
     return [
         "| 500 episodes of the walking ant on the Random Square, past compilation | "
         f"{result['seconds']:.0f} s, success {100 * result['success']:.1f} % |"
