@@ -1,9 +1,11 @@
 """Learning curves from the `metrics.csv` of run folders, drawn with matplotlib."""
 
 import csv
+import itertools
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+import matplotlib.axes
 import matplotlib.figure
 import matplotlib.ticker
 import numpy as np
@@ -70,27 +72,67 @@ def save(
       y_scale: factor on the values, e.g. 100 for per cent.
       y_range: limits of the vertical axis after scaling; None: as the values need.
     """
-    figure = matplotlib.figure.Figure(
-        figsize=(7.0, 4.2), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
-    )
-    axes = figure.add_subplot()
-    axes.set_facecolor(palette.PAPER)
+    axes = _axes(x_label, y_label)
     for i, (label, points) in enumerate(curves.items()):
         colour = palette.CURVE[i % len(palette.CURVE)]
         x, y = points[:, 0], y_scale * points[:, 1]
         axes.plot(x, y, color=colour, alpha=0.25, linewidth=1.0)
         window = max(1, len(y) // 50)
         axes.plot(x, smooth(y, window), color=colour, linewidth=2.0, label=label)
+    if y_range is not None:
+        axes.set_ylim(*y_range)
+    if len(curves) > 1:
+        axes.legend(frameon=False, labelcolor=palette.INK, loc="lower right")
+    _print(axes, path)
+
+
+def save_spread(
+    path: pathlib.Path,
+    groups: Mapping[str, Sequence[Float[np.ndarray, "N 2"]]],
+    *,
+    x_label: str,
+    y_label: str,
+) -> None:
+    """Draws the mean of each group of curves and its range over the group, as PNG.
+
+    Args:
+      path: where the picture goes.
+      groups: curves by label; those of a group are compared as far as the shortest goes.
+      x_label: what the horizontal axis is.
+      y_label: what the vertical axis is, with its unit.
+    """
+    axes = _axes(x_label, y_label)
+    lines = itertools.product(("-", "--"), palette.CURVE)
+    for (label, curves), (style, colour) in zip(groups.items(), itertools.cycle(lines)):
+        length = min(map(len, curves))
+        x, y = curves[0][:length, 0], np.stack([curve[:length, 1] for curve in curves])
+        axes.fill_between(x, y.min(0), y.max(0), color=colour, alpha=0.12, linewidth=0.0)
+        axes.plot(x, y.mean(0), style, color=colour, linewidth=2.0, label=label)
+    axes.set_ylim(bottom=0.0)
+    axes.legend(frameon=False, labelcolor=palette.INK, loc="upper right", fontsize=8, ncols=2)
+    _print(axes, path)
+
+
+def _axes(x_label: str, y_label: str) -> matplotlib.axes.Axes:
+    """Returns empty axes in the style of all pictures."""
+    figure = matplotlib.figure.Figure(
+        figsize=(7.0, 4.2), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
+    )
+    axes = figure.add_subplot()
+    axes.set_facecolor(palette.PAPER)
     axes.set_xlabel(x_label, color=palette.INK)
     axes.set_ylabel(y_label, color=palette.INK)
     axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=" "))
-    axes.set_xlim(left=0.0)
-    if y_range is not None:
-        axes.set_ylim(*y_range)
     axes.grid(color=palette.MUTED, alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(palette.MUTED)
     axes.tick_params(colors=palette.INK)
-    if len(curves) > 1:
-        axes.legend(frameon=False, labelcolor=palette.INK, loc="lower right")
+    return axes
+
+
+def _print(axes: matplotlib.axes.Axes, path: pathlib.Path) -> None:
+    """Writes the picture of some axes, which begin at zero."""
+    axes.set_xlim(left=0.0)
+    figure = axes.figure
+    assert isinstance(figure, matplotlib.figure.Figure)
     backend_agg.FigureCanvasAgg(figure).print_png(str(path))

@@ -209,6 +209,14 @@ def test_curve_is_read_and_drawn(tmp_path):
     assert opened(tmp_path / "curve.png").shape[1] > 500
 
 
+def test_groups_of_curves_are_drawn_as_far_as_the_shortest_goes(tmp_path):
+    rising = np.stack([np.arange(1.0, 9.0), np.arange(8.0)], -1)
+    path = tmp_path / "spread.png"
+    groups = {"one": [rising, rising[:5] + 1.0], "other": [rising]}
+    curves.save_spread(path, groups, x_label="updates", y_label="distance")
+    assert opened(path).shape[1] > 500
+
+
 def test_learning_curve_of_a_run(tmp_path):
     rows = ["step,num_decisions,success,eval/success", "1,100,0.1,", "2,200,nan,0.3", "3,300,0.5,"]
     (tmp_path / "metrics.csv").write_text("\n".join(rows))

@@ -2,16 +2,17 @@
 
 import dataclasses
 import json
+import math
 import shutil
 
 import jax
 import numpy as np
 import pytest
 
-from eihrl_jax import base, policies, presets
+from eihrl_jax import base, policies, postures, presets, robots
 from eihrl_jax import config as config_lib
 from eihrl_jax.config import high as high_config
-from eihrl_jax.training import high
+from eihrl_jax.training import high, subgoals
 
 
 def tiny(run, **options):
@@ -110,3 +111,27 @@ def test_learner_that_does_not_fit_the_maze(tmp_path, options, message):
 def test_options_out_of_range(part, options, message):
     with pytest.raises(base.UserError, match=message):
         part(**options)
+
+
+def test_measured_walking_takes_the_place_of_the_nominal(tmp_path):
+    statistics = subgoals.Statistics(
+        **dict.fromkeys((field.name for field in dataclasses.fields(subgoals.Statistics)), 0.0)
+        | {"along_mean": 2.5, "along_std": 0.4, "lateral_std": 0.3}
+    )
+    text = json.dumps({"open floor": vars(statistics)})
+    (tmp_path / subgoals.FILE).write_text(text)
+    robot = robots.load("ant")
+    bank = postures.PostureBank(qpos=postures.for_robot(robot).qpos[:7])
+    postures.save(bank, tmp_path / subgoals.POSTURES, robot)
+    env = high.make_env(high_config.Task(measured=tmp_path))
+    assert env.movement.step == 2.5
+    assert env.movement.sigma == pytest.approx(math.sqrt((0.16 + 0.09) / 2))
+    with pytest.raises(base.UserError, match=r"subgoals\.json can't be read"):
+        high.make_env(high_config.Task(measured=tmp_path / "nowhere"))
+
+
+def test_a_folder_that_is_taken_is_noticed_first(tmp_path):
+    (tmp_path / "something").touch()
+    config = high_config.HighConfig(run=tmp_path, task=high_config.Task(maze="no such maze"))
+    with pytest.raises(base.UserError, match="exists already"):
+        high.train(config)

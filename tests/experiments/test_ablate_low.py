@@ -1,0 +1,53 @@
+"""The comparison of low-level options from run folders made by hand, and its bad input."""
+
+import dataclasses
+
+import pytest
+
+from eihrl_jax import base, presets
+from experiments import ablate_low
+
+HEADER = "step,eval/along_mean,eval/along_std,eval/lateral_mean,eval/lateral_std,eval/falls"
+
+
+def _finished(config, name, seed, *rows):
+    folder = config.out / name.replace(" ", "-") / f"seed-{seed}"
+    (folder / "policy").mkdir(parents=True)
+    (folder / "metrics.csv").write_text("\n".join([HEADER, *rows]) + "\n")
+
+
+def test_finished_runs_are_compared(tmp_path):
+    config = ablate_low.AblationConfig(out=tmp_path, seeds=(0, 1), variants=("best",))
+    _finished(config, "best", 0, "500,1.0,0.3,0.0,0.4,9", "1000,3.0,0.3,0.0,0.4,2")
+    _finished(config, "best", 1, "500,1.0,0.3,0.0,0.4,9", "1000,2.0,0.0,0.0,0.0,4")
+    _finished(config, "world frame", 0, "500,0.0,0.0,0.0,0.0,0")
+    ablate_low.main(config)
+    lines = (tmp_path / "table.md").read_text().splitlines()
+    # sqrt(0.3² + 0.4²) = 0.5 in one run, 1 in the other.
+    assert lines[2] == (
+        "| best | 2 | 0.75 ± 0.35 | 2.50 ± 0.71 | 0.15 ± 0.21 | 0.20 ± 0.28 | 3.00 ± 1.41 |"
+    )
+    assert lines[3] == "| world frame | 1 | 3.00 | 0.00 | 0.00 | 0.00 | 0.00 |"
+    assert (tmp_path / "curves.png").stat().st_size > 10_000
+    curve = ablate_low.error_curve(tmp_path / "best" / "seed-0" / "metrics.csv")
+    assert curve[:, 0].tolist() == [4000.0, 8000.0]
+
+
+def test_every_variant_but_best_changes_the_preset():
+    best = presets.low_best()
+    for name, change in ablate_low.VARIANTS.items():
+        assert (change(best) == best) == (name == "best")
+        dataclasses.asdict(change(best))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"variants": ("worse",)}, "variants = 'worse' must be one of best, "),
+        ({"variants": ()}, "must name at least one"),
+        ({"num_iterations": 750}, "500 = 500 must divide num_iterations = 750"),
+    ],
+)
+def test_wrong_options_are_named(options, message):
+    with pytest.raises(base.UserError, match=message):
+        ablate_low.AblationConfig(**options)
