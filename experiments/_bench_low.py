@@ -157,9 +157,9 @@ def _transitions(rng: np.random.Generator) -> base.Transition:
 def _sbx(num_updates: int) -> Callable[[], Any]:
     """Fills sbx's memory with noise and returns its training, 20 updates a call as it does it."""
     try:
-        import gymnasium
-        import sbx
-        from stable_baselines3.common import logger
+        import gymnasium  # pyright: ignore[reportMissingImports]
+        import sbx  # pyright: ignore[reportMissingImports]
+        from stable_baselines3.common import logger  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise base.UserError(
             "part updates compares with sbx, which isn't installed: pip install sbx-rl"

@@ -43,7 +43,7 @@ ONLY_IN = {
     "orbax": ("eihrl_jax/training/checkpoint.py",),
     "tensorboardX": ("eihrl_jax/training/run_folder.py",),
     "brax": ("eihrl_jax/envs/",),
-    "gymnasium": ("eihrl_jax/envs/",),
+    "gymnasium": ("eihrl_jax/envs/", "experiments/_bench_low.py"),
     "tyro": ("experiments/_cli.py",),
 }
 """Where a package that moves may be imported."""
