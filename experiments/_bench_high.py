@@ -62,7 +62,8 @@ def train_and_test(folder: pathlib.Path, num_seeds: int, *, is_wide: bool) -> li
 
     Returns:
       Per seed: `seconds` of training past compilation, and `success` by maze, 500 episodes each,
-      directions sampled, oracle movement.
+      directions sampled, oracle movement; `generated rooms` is the mean over 64 of them, 50
+      episodes each, by which one of several runs may be chosen.
     """
     return [_train_and_test(folder / f"seed-{seed}", seed, is_wide) for seed in range(num_seeds)]
 
@@ -74,6 +75,7 @@ def _train_and_test(folder: pathlib.Path, seed: int, is_wide: bool) -> dict[str,
     seconds = high.train(config)
     cells = _test(folder, MAZES, seed, episodes=500)
     success = {cell.maze: cell.success.rate for cell in cells}
+    success["generated rooms"] = _test_in_rooms(folder, seed)
     return {"seed": seed, "seconds": seconds, "success": success}
 
 
@@ -81,18 +83,13 @@ def choose_phantom_walls(folder: pathlib.Path, num_seeds: int) -> list[dict[str,
     """Compares probabilities of phantom walls on generated rooms, which no test maze is among.
 
     Args:
-      folder: new folder for rooms and runs.
+      folder: new folder for the runs.
       num_seeds: training runs of each, with seeds 100, 101, ..., which no other part uses.
 
     Returns:
       Per probability: the mean `success` over 64 rooms in each run, 50 episodes a room, directions
       sampled, oracle movement, four times the shortest path of time.
     """
-    rooms = folder / "rooms"
-    rooms.mkdir(parents=True)
-    files = [rooms / f"room-{index:02d}.txt" for index in range(NUM_ROOMS)]
-    for index, file in enumerate(files):
-        file.write_text(generators.random_room(index, 7, 7))
     found = []
     for probability in PHANTOM_WALLS:
         success = []
@@ -102,14 +99,28 @@ def choose_phantom_walls(folder: pathlib.Path, num_seeds: int) -> list[dict[str,
             task = dataclasses.replace(best.task, phantom_walls=probability)
             config = dataclasses.replace(best, run=run / "high", seed=seed, task=task)
             high.train(config)
-            cells = _test(run, tuple(map(str, files)), seed, episodes=50)
-            success.append(statistics.mean(cell.success.rate for cell in cells))
+            success.append(_test_in_rooms(run, seed))
         found.append({"probability": probability, "success": success})
     return found
 
 
+def _test_in_rooms(run: pathlib.Path, seed: int) -> float:
+    """Returns the mean success of the high level `run / "high"` in generated rooms."""
+    files = [run / "rooms" / f"room-{index:02d}.txt" for index in range(NUM_ROOMS)]
+    files[0].parent.mkdir(parents=True, exist_ok=True)
+    for index, file in enumerate(files):
+        file.write_text(generators.random_room(index, 7, 7))
+    names = tuple(map(str, files))
+    cells = _test(run, names, seed, episodes=50, out="evaluation-rooms")
+    return statistics.mean(cell.success.rate for cell in cells)
+
+
 def _test(
-    run: pathlib.Path, mazes: tuple[str, ...], seed: int, episodes: int
+    run: pathlib.Path,
+    mazes: tuple[str, ...],
+    seed: int,
+    episodes: int,
+    out: str = "evaluation",
 ) -> tuple[results.Cell, ...]:
     """Runs the high level `run / "high"` unchanged in mazes, oracle movement."""
     return evaluate.evaluate(
@@ -119,7 +130,7 @@ def _test(
             high=(str(run / "high"),),
             episodes=episodes,
             seeds=(1000 + seed,),
-            out=run / "evaluation",
+            out=run / out,
             animate="none",
         )
     ).cells
