@@ -8,7 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from eihrl_jax import base, presets
+from eihrl_jax import base, policies, presets
+from eihrl_jax import config as config_lib
 from eihrl_jax.config import checks
 from eihrl_jax.config import low as low_config
 from eihrl_jax.evaluation import curves
@@ -30,6 +31,10 @@ def _reward(**options: object) -> Change:
     )
 
 
+def _droq(**options: object) -> Change:
+    return lambda best: dataclasses.replace(best, droq=dataclasses.replace(best.droq, **options))
+
+
 def _run(**options: object) -> Change:
     return lambda best: dataclasses.replace(best, **options)
 
@@ -43,6 +48,7 @@ VARIANTS: dict[str, Change] = {
     "no relabelling": _run(relabel="never"),
     "relabelled direction": _run(relabel="direction", relabel_share=1.0),
     "reward of eq. 1": _reward(lateral_weight=0.0, beyond_cell=1.0),
+    "actor not averaged": _droq(average_rate=1.0),
     "falls cost 10": _reward(fall_cost=10.0),
     "no inner walls": _run(num_rooms=0),
 }
@@ -81,24 +87,19 @@ class AblationConfig:
         if not self.variants or not self.seeds:
             raise base.UserError("variants and seeds must name at least one each")
         checks.in_range("num_iterations", self.num_iterations, 500, 2**31 - 1)
-        checks.divides("500", 500, "num_iterations", self.num_iterations)
+        every = presets.low_best().evaluate_every
+        checks.divides("evaluate_every", every, "num_iterations", self.num_iterations)
+        if len(set(self.seeds)) < len(self.seeds):
+            raise base.UserError(f"seeds = {self.seeds} names one more than once")
 
 
 def main(config: AblationConfig) -> None:
     """Trains what is missing, then compares what is there."""
     for seed in config.seeds:
         for name in config.variants:
-            path = _folder(config, name, seed)
-            if not (path / "policy").exists():
-                best = dataclasses.replace(
-                    presets.low_best(),
-                    robot=config.robot,
-                    num_iterations=config.num_iterations,
-                    seed=seed,
-                    run=path,
-                    resume=True,
-                )
-                low.train(VARIANTS[name](best))
+            options = _options(config, name, seed)
+            if not (options.run / policies.FOLDER).exists():
+                low.train(options)
     table = compare(config)
     (config.out / "table.md").write_text(table)
     print(table)
@@ -108,8 +109,11 @@ def compare(config: AblationConfig) -> str:
     """Draws the learning curves of finished runs, and returns the table of their ends."""
     drawn, rows = {}, []
     for name in VARIANTS:
-        folders = [_folder(config, name, seed) for seed in config.seeds]
-        folders = [folder for folder in folders if (folder / "policy").exists()]
+        wanted = [_options(config, name, seed) for seed in config.seeds]
+        finished = [options for options in wanted if (options.run / policies.FOLDER).exists()]
+        for options in finished:
+            _check_same(options)
+        folders = [options.run for options in finished]
         if folders:
             drawn[name] = [error_curve(folder / "metrics.csv") for folder in folders]
             rows.append(_row(name, folders, [curve[-1, 1] for curve in drawn[name]]))
@@ -151,8 +155,24 @@ def _spread(values: list[float]) -> str:
     return mean if len(values) < 2 else f"{mean} ± {statistics.stdev(values):.2f}"
 
 
-def _folder(config: AblationConfig, name: str, seed: int) -> pathlib.Path:
-    return config.out / name.replace(" ", "-").replace(".", "") / f"seed-{seed}"
+def _options(config: AblationConfig, name: str, seed: int) -> low_config.LowConfig:
+    best = dataclasses.replace(
+        presets.low_best(),
+        robot=config.robot,
+        num_iterations=config.num_iterations,
+        seed=seed,
+        run=config.out / name.replace(" ", "-").replace(".", "") / f"seed-{seed}",
+        resume=True,
+    )
+    return VARIANTS[name](best)
+
+
+def _check_same(options: low_config.LowConfig) -> None:
+    """Checks that a finished run is what it would be if it were trained now."""
+    file = options.run / "config.json"
+    found = config_lib.from_json(low_config.LowConfig, file.read_text(), source=str(file))
+    if dataclasses.replace(found, run=options.run, resume=True) != options:
+        raise base.UserError(f"{options.run} was trained with other options: name another --out")
 
 
 if __name__ == "__main__":

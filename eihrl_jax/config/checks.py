@@ -76,3 +76,15 @@ def divides(name: str, value: int, other_name: str, other: int) -> None:
     """
     if value <= 0 or other % value:
         raise base.UserError(f"{name} = {value} must divide {other_name} = {other}")
+
+
+def measured_alone(measured: object, step: float, sigma: float) -> None:
+    """Checks that step and sigma of oracle movement aren't asked for beside a measurement of them.
+
+    Raises:
+      UserError: they are.
+    """
+    if measured is not None and (step, sigma) != (base.CELL, 0.3):
+        raise base.UserError(
+            f"step = {step} and sigma = {sigma} can't be set together with measured = {measured}"
+        )

@@ -31,6 +31,8 @@ class EvaluateConfig:
       greedy: take the most likely direction instead of a sample.
       step: units that oracle movement goes per subgoal.
       sigma: standard deviation in units and per axis of the oracle's random offset.
+      measured: folder of `experiments.measure_low`, whose mean displacement, standard deviation and
+        postures take the place of step, sigma and the shipped postures.
       engine: physics engine of full movement.
       animate: an animation of one maze, of all, or of none.
     """
@@ -47,6 +49,7 @@ class EvaluateConfig:
     greedy: bool = False
     step: float = base.CELL
     sigma: float = 0.3
+    measured: pathlib.Path | None = None
     engine: Literal["mujoco", "mjx"] = "mujoco"
     animate: Literal["one", "all", "none"] = "one"
 
@@ -59,6 +62,7 @@ class EvaluateConfig:
             repeated = [value for i, value in enumerate(values) if value in values[:i]]
             if repeated:
                 raise base.UserError(f"{name} names {repeated[0]!r} more than once")
+        checks.measured_alone(self.measured, self.step, self.sigma)
         checks.in_range("episodes", self.episodes, 1, 1_000_000)
         for seed in self.seeds:
             checks.in_range("seeds", seed, 0, 2**32 - 1)

@@ -55,6 +55,7 @@ class Task:
         checks.in_range("phantom_walls", self.phantom_walls, 0.0, 1.0)
         if self.num_decisions is not None:
             checks.in_range("num_decisions", self.num_decisions, 1, 10_000)
+        checks.measured_alone(self.measured, self.step, self.sigma)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ class MeasureConfig:
     Attributes:
       robot: which robot.
       low: its low level: run folder, policy folder or shipped name; none: the shipped one.
-      num_subgoals: at least this many per surrounding.
+      num_subgoals: about this many per surrounding; those begun lying down don't count.
       num_envs: robots that walk at the same time.
       engine: physics engine.
       sigma: standard deviation in units of the normal law to compare with.
@@ -41,8 +41,9 @@ class MeasureConfig:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
-        checks.in_range("num_subgoals", self.num_subgoals, 100, 10_000_000)
         checks.in_range("num_envs", self.num_envs, 1, 2**16)
+        # The first subgoal of a robot, which stood still before, gives no postures.
+        checks.in_range("num_subgoals", self.num_subgoals, max(100, 2 * self.num_envs), 200_000)
         checks.one_of("engine", self.engine, ("mujoco", "mjx"))
         checks.in_range("sigma", self.sigma, above=0.0, high=base.CELL)
         checks.in_range("num_postures", self.num_postures, 1, 1_000_000)

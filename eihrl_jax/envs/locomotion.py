@@ -48,7 +48,7 @@ class Experience(struct.PyTreeNode):
       obs: before the step.
       ctrl: float32 [nu], controls in [-1, 1].
       step_xy: float32 [2], the torso's movement, units.
-      terminated: the robot fell.
+      terminated: the robot fell, or the simulation broke down.
       is_switch: a new subgoal was given after the step; `next_obs` is already of that one.
       next_obs: after the step.
     """
@@ -86,7 +86,7 @@ def reward(
       displacement_xy: float32 [2], movement since the subgoal was given, before the step, units.
       step_xy: float32 [2], the step's movement, units.
       direction: int32, the subgoal that was to be followed.
-      terminated: the step ended in a fall.
+      terminated: the step ended in a fall or a breakdown.
       options: scale, prices of drift and falls, and whether a full cell is enough.
 
     Source: paper, eq. 1.
@@ -275,7 +275,7 @@ class Locomotion:
             inner=new_walk,
             obs=obs,
             final_obs=obs,
-            reward=jnp.where(is_finite, gain, 0.0),
+            reward=gain,
             terminated=terminated,
             truncated=(step >= self._episode_steps) & ~terminated,
             metrics={

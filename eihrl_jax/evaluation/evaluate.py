@@ -11,7 +11,7 @@ from eihrl_jax.evaluation import report, results, rollouts, systems
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.training import progress as progress_lib
-from eihrl_jax.training import versions
+from eihrl_jax.training import subgoals, versions
 
 NUM_RECORDED = 12
 """Episodes per maze among which a typical one is found for the animation."""
@@ -115,10 +115,8 @@ def _envs(
 ) -> list[rollouts.Traced]:
     """Builds one robot's environment for each view: walking with `low`, or moved by the oracle."""
     if low is None:
-        return [
-            systems.oracle(robot, stacked, view, step=options.step, sigma=options.sigma)
-            for view in views
-        ]
+        walking = subgoals.walking(robot, options.measured, options.step, options.sigma)
+        return [systems.oracle(robot, stacked, view, walking=walking) for view in views]
     low_policy = systems.load_low(low, robot)
     engine = engine_lib.make(robot, options.engine)
     return [systems.full(engine, stacked, view, low_policy) for view in views]

@@ -27,8 +27,8 @@ from eihrl_jax.training import subgoals, versions
 SUBGOALS_PER_EPISODE = 20
 NUM_ROOMS = 256
 OPEN, ROOMS = "open floor", "random rooms"
-MIN_STEPS_TO_RECOVER = 25
-"""Falls are only counted as final if the robot lay at least so long."""
+_ROOM_SEED = 2**32
+"""Added to the seed: rooms that no training, whose seeds are below, has drawn."""
 
 _TOLD = ("switched", "along", "lateral", "fell", "broke_down")
 
@@ -89,7 +89,8 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
     robot = robots.load(options.robot)
     policy = systems.load_low(options.low or options.robot, robot)
     engine = engine_lib.make(robot, options.engine)
-    floors = {OPEN: rooms.open_floor(), ROOMS: rooms.random_rooms(NUM_ROOMS, options.seed)}
+    walled = rooms.random_rooms(NUM_ROOMS, _ROOM_SEED + options.seed)
+    floors = {OPEN: rooms.open_floor(), ROOMS: walled}
     found: dict[str, subgoals.Statistics] = {}
     with progress_lib.Progress(f"{robot.name}, subgoals", len(floors), unit="surroundings") as bar:
         for index, (name, floor) in enumerate(floors.items()):
@@ -106,13 +107,14 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
                 first = steps
             bar.update(index + 1, {})
     options.out.mkdir(parents=True, exist_ok=True)
-    scatter.save(options.out / "subgoals.png", end_points(first), f"{robot.name}, open floor")
-    bank = postures.PostureBank(qpos=_postures(first, robot, options.num_postures))
-    postures.save(bank, options.out / subgoals.POSTURES, robot)
     document = {name: vars(statistics) for name, statistics in found.items()}
     about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
     text = json.dumps(document | about | {"versions": versions.describe()}, indent=2)
     (options.out / subgoals.FILE).write_text(text + "\n")
+    title = f"{robot.name}, {OPEN}"
+    scatter.save(options.out / "subgoals.png", end_points(first), title, options.sigma)
+    bank = postures.PostureBank(qpos=_postures(first, robot, options.num_postures))
+    postures.save(bank, options.out / subgoals.POSTURES, robot)
     return found
 
 
@@ -160,7 +162,7 @@ def _walk(
 def _is_clear(env: locomotion.Locomotion, walk: locomotion.Walk) -> Bool[Array, ""]:
     """Tells whether a robot that goes one cell from here could touch no wall."""
     room, reach = env.room(walk.room), env.robot.reach
-    ahead = jnp.linspace(0.0, base.CELL + reach, 4)
+    ahead = jnp.linspace(-reach, base.CELL + reach, 5)
     aside = jnp.array([-reach, 0.0, reach])
     grid = jnp.stack(jnp.meshgrid(ahead, aside), -1).reshape(-1, 2)
     turned = jax.vmap(rotations.to_world_frame, in_axes=(0, None))(grid, walk.direction)
@@ -194,9 +196,9 @@ def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.St
     counts = _counts(steps)
     along, lateral = np.asarray(steps.along)[counts], np.asarray(steps.lateral)[counts]
     ended = (steps.switched > 0) & steps.begun.is_upright
-    begun = ended | ((steps.fell > 0) & ~ended) | (steps.broke_down > 0)
+    begun = ended | ((steps.broke_down > 0) & steps.begun.is_upright)
     num_begun = max(int(begun.sum()), 1)
-    times = recovery_times(steps)
+    times = recovery_times(steps, robot.steps_per_subgoal)
     stood_again = times[np.isfinite(times)]
     is_known = len(along) > 1
     return subgoals.Statistics(
@@ -226,11 +228,13 @@ def _correlation(one: Float[np.ndarray, " S"], other: Float[np.ndarray, " S"]) -
     )
 
 
-def recovery_times(steps: Steps) -> Float[np.ndarray, " F"]:
+def recovery_times(steps: Steps, min_steps: int) -> Float[np.ndarray, " F"]:
     """Returns, for each fall, the control steps until the robot stood again, inf for never.
 
-    A fall in an episode's last step is left out, and so are those after which the episode ended
-    within a subgoal's time without a recovery: nothing can be said of them.
+    Args:
+      steps: on the host.
+      min_steps: falls after which the episode ended earlier, without a recovery, are left out:
+        nothing can be said of them.
     """
     times = []
     for t, robot in np.argwhere(steps.fell > 0):
@@ -239,7 +243,7 @@ def recovery_times(steps: Steps) -> Float[np.ndarray, " F"]:
         upright = np.flatnonzero(~steps.was_down[t + 1 : end + 1, robot])
         if len(upright):
             times.append(float(upright[0] + 1))
-        elif end - t >= MIN_STEPS_TO_RECOVER:
+        elif end - t >= min_steps:
             times.append(math.inf)
     return np.array(times)
 
@@ -253,7 +257,7 @@ def wasserstein(values: Float[np.ndarray, " S"], sigma: float) -> float:
     2.0
     """
     ordered = np.sort(values)
-    levels = (np.arange(len(ordered)) + 0.5) / len(ordered)
+    levels = (np.arange(len(ordered)) + 0.5) / len(ordered)  # of the quantiles
     return float(np.abs(ordered - sigma * scipy.special.ndtri(levels)).mean())
 
 
@@ -270,5 +274,7 @@ def _postures(steps: Steps, robot: robot_lib.Robot, num: int) -> Float[Array, "n
     """Picks postures spread evenly over robots and time, the first subgoal left out, x = y = 0."""
     qpos = np.asarray(steps.qpos)[robot.steps_per_subgoal :]
     upright = qpos[~np.asarray(steps.was_down)[robot.steps_per_subgoal :]]
+    if not len(upright):
+        raise base.UserError(f"robot {robot.name!r} was never upright: there are no postures")
     index = np.linspace(0, len(upright) - 1, num).astype(np.int64)
     return jnp.asarray(upright[index]).at[:, :2].set(0.0)

@@ -17,16 +17,22 @@ _NAMES = ("x+", "x-", "y+", "y-")
 _EXTENT = 5.0
 
 
-def save(path: pathlib.Path, ends: Mapping[int, Float[np.ndarray, "S 2"]], title: str) -> None:
+def save(
+    path: pathlib.Path,
+    ends: Mapping[int, Float[np.ndarray, "S 2"]],
+    title: str,
+    sigma: float,
+) -> None:
     """Draws the displacements of all subgoals around where they began, as PNG.
 
-    A cross marks one cell in each direction, the circle around it three times the epsilon of 0.3
-    units that the high level trains with.
+    A cross marks one cell in each direction; the circle around it, of radius 3 sigma, holds 99 % of
+    what the high level trains with.
 
     Args:
       path: where the picture goes.
       ends: displacements in units, world frame, by direction.
       title: what is shown.
+      sigma: standard deviation per axis of the normal law to compare with, units.
     """
     figure = matplotlib.figure.Figure(
         figsize=(6.0, 6.2), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
@@ -35,11 +41,13 @@ def save(path: pathlib.Path, ends: Mapping[int, Float[np.ndarray, "S 2"]], title
     axes.set_facecolor(palette.PAPER)
     for index, points in ends.items():
         colour = palette.CURVE[index]
+        if not len(points):
+            continue
         axes.scatter(*points.T, s=3.0, alpha=0.35, color=colour, linewidths=0.0)
         target = np.multiply(base.CELL, base.DIRECTIONS_XY[index])
         axes.plot(*target, marker="+", markersize=11, color=palette.INK)
         axes.add_patch(
-            matplotlib.patches.Circle(tuple(target), 0.9, fill=False, color=palette.MUTED)
+            matplotlib.patches.Circle(tuple(target), 3.0 * sigma, fill=False, color=palette.MUTED)
         )
         mean_xy, std_xy = points.mean(0), points.std(0)
         mean, std = ("({:.2f}, {:.2f})".format(*pair) for pair in (mean_xy, std_xy))

@@ -17,6 +17,7 @@ from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
+from eihrl_jax.training import subgoals
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,8 +131,7 @@ def oracle(
     stacked: mazes.Maze,
     view: raster.View,
     *,
-    step: float,
-    sigma: float,
+    walking: subgoals.Walking,
 ) -> TracedOracle:
     """Returns oracle movement in several mazes.
 
@@ -139,18 +139,18 @@ def oracle(
       robot: whose postures are shown and whose radius stops at walls.
       stacked: mazes with a leading axis.
       view: what the high level sees.
-      step: units per subgoal.
-      sigma: standard deviation of the offset, units.
+      walking: what the oracle imitates.
 
     Raises:
       base.UserError: a number is out of its limits.
     """
-    bank = postures.for_robot(robot)
-    movement = oracle_maze.Movement(step=step, sigma=sigma, body_radius=robot.body_radius)
-    env = oracle_maze.OracleMaze(
-        stacked, postures.footprints(robot, bank, view), view=view, movement=movement
+    movement = oracle_maze.Movement(
+        step=walking.step, sigma=walking.sigma, body_radius=robot.body_radius
     )
-    return TracedOracle(env, bank.qpos)
+    env = oracle_maze.OracleMaze(
+        stacked, postures.footprints(robot, walking.bank, view), view=view, movement=movement
+    )
+    return TracedOracle(env, walking.bank.qpos)
 
 
 def full(

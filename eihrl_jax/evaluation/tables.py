@@ -189,22 +189,22 @@ def of_subgoals(found: Mapping[str, subgoals.Statistics], robot: str) -> rich.ta
     def per(write: Callable[[subgoals.Statistics], str]) -> list[str]:
         return [write(statistics) for statistics in found.values()]
 
-    rows = {
-        "subgoals": per(lambda s: f"{s.num_subgoals:,}"),
-        "  with a wall in the way, %": per(lambda s: f"{100 * s.blocked:.0f}"),
-        "displacement along, units": per(lambda s: f"{s.along_mean:.3f}"),
-        "  standard deviation": per(lambda s: f"{s.along_std:.3f}"),
-        "  distance to normal law": per(lambda s: f"{s.along_distance:.3f}"),
-        "displacement sideways, units": per(lambda s: f"{s.lateral_mean:.3f}"),
-        "  standard deviation ": per(lambda s: f"{s.lateral_std:.3f}"),
-        "  distance to normal law ": per(lambda s: f"{s.lateral_distance:.3f}"),
-        "falls per 1,000 subgoals": per(lambda s: f"{s.falls:.2f}"),
-        "  stood again, %": per(lambda s: _or_dash(100 * s.recovered, ".0f")),
-        "  after seconds": per(lambda s: _or_dash(s.recovery_seconds, ".1f")),
-        "simulation broke down": per(lambda s: f"{s.breakdowns:.2f}"),
-    }
+    rows = [
+        ("subgoals", per(lambda s: f"{s.num_subgoals:,}")),
+        ("  with a wall in the way, %", per(lambda s: f"{100 * s.blocked:.0f}")),
+        ("displacement along, units", per(lambda s: f"{s.along_mean:.3f}")),
+        ("  standard deviation", per(lambda s: f"{s.along_std:.3f}")),
+        ("  distance to normal law", per(lambda s: f"{s.along_distance:.3f}")),
+        ("displacement sideways, units", per(lambda s: f"{s.lateral_mean:.3f}")),
+        ("  standard deviation", per(lambda s: f"{s.lateral_std:.3f}")),
+        ("  distance to normal law", per(lambda s: f"{s.lateral_distance:.3f}")),
+        ("falls per 1,000 subgoals", per(lambda s: f"{s.falls:.2f}")),
+        ("  stood again, %", per(lambda s: _or_dash(100 * s.recovered, ".0f"))),
+        ("  after seconds", per(lambda s: _or_dash(s.recovery_seconds, ".1f"))),
+        ("breakdowns of the simulation", per(lambda s: f"{s.breakdowns:.2f}")),
+    ]
     header = [robot, *found]
-    return _shown(Table("", header, [[name, *values] for name, values in rows.items()]))
+    return _shown(Table("", header, [[name, *values] for name, values in rows]))
 
 
 def _or_dash(value: float, form: str) -> str:

@@ -3,7 +3,10 @@
 The number of boxes depends on the robot's reach alone, so a step costs the same in every maze.
 """
 
+from collections.abc import Callable
+
 import mujoco
+import numpy as np
 
 from eihrl_jax import base
 from eihrl_jax.robots import robot as robot_lib
@@ -83,6 +86,27 @@ def build(robot: robot_lib.Robot) -> mujoco.MjModel:
     return model
 
 
+def _check_geoms(model: mujoco.MjModel, what: str) -> None:
+    """Checks that the robot's geoms meet floor and walls alone, see `docs/robots.md`."""
+    own = model.geom_conaffinity == 0
+    others = [name for name in map(_geom_name(model), np.flatnonzero(~own)) if not _is_ours(name)]
+    if others:
+        raise base.UserError(f"{what}: geom {others[0]!r} must have conaffinity 0")
+    if not np.isin(model.geom_contype[own], (0, BOTH, FLOOR_ONLY, WALLS_ONLY)).all():
+        raise base.UserError(f"{what}: contype of a geom must be 0, 1, 2 or 4")
+    if model.geom_margin[own].any():
+        raise base.UserError(f"{what}: geoms must have no margin")
+
+
+def _geom_name(model: mujoco.MjModel) -> Callable[[int], str]:
+    return lambda index: model.geom(index).name or str(index)
+
+
+def _is_ours(name: str) -> bool:
+    """Tells whether a geom is the floor or a wall of the scene."""
+    return name == "floor" or name.startswith("wall_")
+
+
 def _unusable(robot: robot_lib.Robot, error: Exception) -> base.UserError:
     """Says in one line what MuJoCo says in several."""
     return base.UserError(f"robot {robot.name!r}: {robot.mjcf}: {' '.join(str(error).split())}")
@@ -101,12 +125,18 @@ def _check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
     joints = _ROOT_JOINTS[robot.root]
     if tuple(model.jnt_type[: len(joints)]) != tuple(map(int, joints)):
         raise base.UserError(f"{what}: its first joints aren't those of root {robot.root!r}")
-    if robot.root != "free" and (model.jnt_axis[:2, :2] != [[1, 0], [0, 1]]).any():
-        raise base.UserError(f"{what}: its first two joints must slide along x and y")
+    axes = np.eye(3)[: len(joints)]
+    if robot.root != "free" and (model.jnt_axis[: len(joints)] != axes).any():
+        raise base.UserError(f"{what}: its first joints must slide along x and y, and turn about z")
+    if (model.jnt_type[len(joints) :] < int(mujoco.mjtJoint.mjJNT_SLIDE)).any():
+        raise base.UserError(f"{what}: besides the root's, its joints must be hinges and slides")
+    if robot.root == "slide" and model.actuator_trnid[:2, 0].tolist() != [0, 1]:
+        raise base.UserError(f"{what}: its first two actuators must push along x and y")
     if not model.nu:
         raise base.UserError(f"{what}: it has no actuator")
-    if (model.actuator_ctrlrange != [-1.0, 1.0]).any():
+    if not model.actuator_ctrllimited.all() or (model.actuator_ctrlrange != [-1.0, 1.0]).any():
         raise base.UserError(f"{what}: every actuator's ctrlrange must be -1 1")
+    _check_geoms(model, what)
     if not model.nkey:
         raise base.UserError(f"{what}: it has no keyframe, the posture in which episodes start")
     if robot.symmetry is not None:

@@ -30,7 +30,8 @@ class Robot:
       body_radius: radius in units with which oracle movement stops at walls.
       healthy_z: torso heights outside of which the robot counts as fallen, units; None: it can't.
       qpos_noise: half-width of the uniform noise on the joints at reset, radians.
-      qvel_noise: standard deviation of the noise on velocities at reset.
+      qvel_noise: standard deviation of the noise on velocities at reset, units or radians per
+        second.
       symmetry: how the body maps to itself; None: not at all, or not of use.
     """
 
@@ -54,13 +55,15 @@ class Robot:
         checks.one_of("root", self.root, ROOTS)
         checks.in_range("physics_step", self.physics_step, above=0.0, high=0.1)
         checks.in_range("num_substeps", self.num_substeps, 1, 1000)
-        checks.in_range("steps_per_subgoal", self.steps_per_subgoal, 1, 10_000)
+        checks.in_range("steps_per_subgoal", self.steps_per_subgoal, 2, 10_000)
         checks.in_range("reach", self.reach, above=0.0, high=base.CELL)
         checks.in_range("body_radius", self.body_radius, above=0.0, high=base.CELL / 2)
         checks.in_range("qpos_noise", self.qpos_noise, 0.0, 3.2)
         checks.in_range("qvel_noise", self.qvel_noise, 0.0, 10.0)
         if self.healthy_z is not None and not self.healthy_z[0] < self.healthy_z[1]:
             raise base.UserError(f"healthy_z = {self.healthy_z} must be a height and a greater one")
+        if self.symmetry is not None and self.root == "slide":
+            raise base.UserError("symmetry: a robot with root 'slide' has no heading to turn")
         if self.healthy_z is not None and self.root != "free":
             raise base.UserError(f"healthy_z: a robot with root {self.root!r} can't fall")
 

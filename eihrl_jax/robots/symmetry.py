@@ -1,6 +1,7 @@
 """Symmetries of a robot's body: ways to rename its parts that leave its physics as they are."""
 
 import dataclasses
+import functools
 import itertools
 
 import numpy as np
@@ -46,13 +47,10 @@ class Symmetry:
                 raise base.UserError(
                     f"{field.name} = {order} must hold each of 1 to {len(order)} once, either sign"
                 )
-        if self.num_turns > 1 and self.mirror_joints is not None:
-            for what in ("joints", "controls"):
-                turn, mirror = getattr(self, f"turn_{what}"), getattr(self, f"mirror_{what}")
-                if len(turn) != len(mirror or ()):
-                    raise base.UserError(f"turn_{what} and mirror_{what} differ in length")
         if (self.mirror_joints is None) != (self.mirror_controls is None):
             raise base.UserError("mirror_joints and mirror_controls go together")
+        _check_group("joints", self.num_turns, self.turn_joints, self.mirror_joints)
+        _check_group("controls", self.num_turns, self.turn_controls, self.mirror_controls)
 
     @property
     def has_mirror(self) -> bool:
@@ -70,6 +68,32 @@ class Symmetry:
     def control_tables(self) -> tuple[Int[np.ndarray, "V A"], Float[np.ndarray, "V A"]]:
         """Returns order and signs of the controls in each variant, see `tables`."""
         return tables(self.num_turns, self.turn_controls, self.mirror_controls)
+
+
+def _check_group(what: str, num_turns: int, turn: SignedOrder, mirror: SignedOrder | None) -> None:
+    """Checks that all turns and two reflections lead back, and that the two fit together.
+
+    Raises:
+      base.UserError: they don't.
+    """
+    if num_turns == 1 and turn:
+        raise base.UserError(f"turn_{what} = {turn} needs num_turns above 1")
+    if num_turns > 1 and mirror is not None and len(turn) != len(mirror):
+        raise base.UserError(f"turn_{what} and mirror_{what} differ in length")
+    identity = np.arange(1, len(turn or mirror or ()) + 1)
+
+    def leads_back(*orders: SignedOrder) -> bool:
+        return np.array_equal(functools.reduce(compose, orders, identity), identity)
+
+    if num_turns > 1 and not leads_back(*[turn] * num_turns):
+        raise base.UserError(f"turn_{what} = {turn}: {num_turns} turns don't lead back")
+    if mirror is not None and not leads_back(mirror, mirror):
+        raise base.UserError(f"mirror_{what} = {mirror}: two reflections don't lead back")
+    if num_turns > 1 and mirror is not None and not leads_back(mirror, turn, mirror, turn):
+        raise base.UserError(
+            f"mirror_{what} = {mirror} doesn't fit turn_{what} = {turn}: mirrored, a turn must be "
+            "a turn back"
+        )
 
 
 def tables(
@@ -104,7 +128,7 @@ def compose(first: np.ndarray, then: SignedOrder) -> np.ndarray:
     >>> compose(np.array([2, -1]), (-2, 1)).tolist()
     [1, 2]
     """
-    second = np.asarray(then)
+    second = np.asarray(then, np.int64)
     return np.sign(second) * first[np.abs(second) - 1]
 
 

@@ -15,7 +15,6 @@ from eihrl_jax.config import checks
 from eihrl_jax.config import high as high_config
 from eihrl_jax.envs import oracle_maze, phantoms, wrappers
 from eihrl_jax.networks import patch_actor_critic
-from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.training import parallel, run_folder, subgoals, versions
 from eihrl_jax.training import progress as progress_lib
 
@@ -77,7 +76,7 @@ def train(config: high_config.HighConfig) -> float:
                 if done % config.checkpoint_every == 0 or is_last:
                     run.save(done, state)
             seconds = progress.seconds
-        _finish(config, run, state)
+        _finish(config, env.movement, run, state)
     return seconds
 
 
@@ -89,7 +88,7 @@ def make_env(task: high_config.Task) -> oracle_maze.OracleMaze:
     """
     robot = robots.load(task.robot)
     view = raster.View(extent=task.extent, pixels=task.pixels)
-    step, sigma, bank = _walking(task, robot)
+    step, sigma, bank = subgoals.walking(robot, task.measured, task.step, task.sigma)
     movement = oracle_maze.Movement(
         step=step,
         sigma=sigma,
@@ -103,17 +102,6 @@ def make_env(task: high_config.Task) -> oracle_maze.OracleMaze:
         movement=movement,
         reward=task.reward,
     )
-
-
-def _walking(
-    task: high_config.Task, robot: robot_lib.Robot
-) -> tuple[float, float, postures.PostureBank]:
-    """Returns step, sigma and postures of the oracle: those asked for, or as they were measured."""
-    if task.measured is None:
-        return task.step, task.sigma, postures.for_robot(robot)
-    statistics = subgoals.load(task.measured)
-    bank = postures.load(task.measured / subgoals.POSTURES, robot)
-    return statistics.along_mean, statistics.sigma, bank
 
 
 def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> peg_a2c.PegA2C:
@@ -201,7 +189,10 @@ def _shown(row: Mapping[str, float]) -> dict[str, float]:
 
 
 def _finish(
-    config: high_config.HighConfig, run: run_folder.RunFolder, state: peg_a2c.LearnerState
+    config: high_config.HighConfig,
+    movement: oracle_maze.Movement,
+    run: run_folder.RunFolder,
+    state: peg_a2c.LearnerState,
 ) -> None:
     """Writes the policy of a run that has reached its end."""
     policies.save(
@@ -210,9 +201,10 @@ def _finish(
         params=state.params,
         meta={
             "maze": config.task.maze,
-            "robot": config.task.robot,
+            "robot": robots.load(config.task.robot).name,
             "view": {"extent": config.task.extent, "pixels": config.task.pixels},
             "network": dataclasses.asdict(config.network),
+            "movement": {"step": movement.step, "sigma": movement.sigma},
             "config": dataclasses.asdict(config.task) | dataclasses.asdict(config.learner),
             "num_updates": int(state.num_updates),
             "num_decisions": int(state.num_decisions),

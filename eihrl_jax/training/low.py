@@ -261,17 +261,17 @@ def train(config: low_config.LowConfig) -> None:
                 key = jax.random.fold_in(measure_key, done)
                 return measure(state.learner.average_params, key)
 
-            measured = evaluate()
+            measured: dict[str, Array] = {}
             while done < config.num_iterations:
                 state, metrics = advance(state)
                 done += config.log_every
                 is_last = done >= config.num_iterations
                 if done % config.evaluate_every == 0 or is_last:
-                    measured = evaluate()
-                metrics |= {f"eval/{name}": value for name, value in measured.items()}
-                metrics = {name: float(value) for name, value in metrics.items()}
-                run.log(done, metrics)
-                progress.update(done * config.num_envs, _shown(metrics))
+                    measured = {f"eval/{name}": value for name, value in evaluate().items()}
+                    metrics |= measured
+                run.log(done, {name: float(value) for name, value in metrics.items()})
+                shown = _shown({name: float(value) for name, value in (metrics | measured).items()})
+                progress.update(done * config.num_envs, shown)
                 if done % config.checkpoint_every == 0 or is_last:
                     run.save(done, state)
         _finish(trainer, run, state, measure_key, posture_key)

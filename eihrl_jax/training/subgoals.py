@@ -4,11 +4,13 @@ import dataclasses
 import json
 import math
 import pathlib
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from eihrl_jax import base
+from eihrl_jax import base, postures
+from eihrl_jax.robots import robot as robot_lib
 
 FILE, POSTURES = "subgoals.json", "postures.npz"
 """Names of the files in which a measurement keeps its figures and its posture bank."""
@@ -63,9 +65,48 @@ def load(folder: pathlib.Path) -> Statistics:
     """
     path = folder / FILE
     try:
-        return Statistics(**json.loads(path.read_text())["open floor"])
+        found = Statistics(**json.loads(path.read_text())["open floor"])
+        is_known = math.isfinite(found.along_mean) and math.isfinite(found.sigma)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise base.UserError(f"measurement {path} can't be read: {error}") from None
+    if not is_known:
+        raise base.UserError(f"measurement {path} holds no displacement: no subgoal was completed")
+    return found
+
+
+class Walking(NamedTuple):
+    """What oracle movement imitates.
+
+    Attributes:
+      step: units per subgoal.
+      sigma: standard deviation per axis, units.
+      bank: postures that are shown.
+    """
+
+    step: float
+    sigma: float
+    bank: postures.PostureBank
+
+
+def walking(
+    robot: robot_lib.Robot, measured: pathlib.Path | None, step: float, sigma: float
+) -> Walking:
+    """Returns how a robot walks as it was measured, or else as asked for with shipped postures.
+
+    Args:
+      robot: the robot.
+      measured: folder of a measurement, None for none.
+      step: units per subgoal, without a measurement.
+      sigma: standard deviation per axis without a measurement, units.
+
+    Raises:
+      base.UserError: the measurement can't be read, or is another robot's.
+    """
+    if measured is None:
+        return Walking(step, sigma, postures.for_robot(robot))
+    statistics = load(measured)
+    bank = postures.load(measured / POSTURES, robot)
+    return Walking(statistics.along_mean, statistics.sigma, bank)
 
 
 def summarise(walked: dict[str, Float[Array, "T N"]]) -> dict[str, Float[Array, ""]]:

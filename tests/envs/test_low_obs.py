@@ -1,6 +1,8 @@
 """What the low level's network sees and does does not depend on the direction, nor on which of the
 robot's like sides is called its front."""
 
+import pathlib
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -16,6 +18,7 @@ from eihrl_jax.physics import scene
 from eihrl_jax.robots import symmetry as symmetry_lib
 
 POINT, ANT, SWIMMER, HUMANOID = (robots.load(name) for name in robots.NAMES)
+CART = robots.load(str(pathlib.Path(__file__).parents[2] / "docs" / "robots" / "cart.toml"))
 CANONICAL = low_config.LowInput(frame="canonical", use_progress=True)
 
 
@@ -133,7 +136,7 @@ def _observe(state, robot):
 
 SYMMETRIC = [
     (robot, variant)
-    for robot in (ANT, SWIMMER, HUMANOID)
+    for robot in (ANT, SWIMMER, HUMANOID, CART)
     for variant in range(len(robot.symmetry.joint_tables()[0]))
 ]
 

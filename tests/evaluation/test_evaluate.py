@@ -14,7 +14,7 @@ from eihrl_jax.envs import locomotion, low_obs
 from eihrl_jax.evaluation import evaluate, report, results, rollouts, systems
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.training import progress
+from eihrl_jax.training import progress, subgoals
 
 OWN_MAZE = "#####\n#S.1#\n#...#\n#2..#\n#####\n"
 NETWORK = {"tile": 3, "tile_features": 2, "hidden": [4]}
@@ -125,9 +125,9 @@ def random_walk(num_episodes, *, seeds=(0,), num_recorded=0):
     """Returns the episodes of uniform directions in the Random Square, without noise."""
     chosen = {"random": mazes.load("random")}
     view = raster.View()
-    env = systems.oracle(
-        robots.load("point"), mazes.stack(list(chosen.values())), view, step=3.0, sigma=0.0
-    )
+    robot = robots.load("point")
+    walking = subgoals.walking(robot, None, 3.0, 0.0)
+    env = systems.oracle(robot, mazes.stack(list(chosen.values())), view, walking=walking)
     plan = rollouts.Plan(
         mazes=chosen, seeds=seeds, num_episodes=num_episodes, num_recorded=num_recorded
     )

@@ -66,17 +66,18 @@ def test_falls_and_recoveries():
     fell[1, 0] = fell[2, 1] = 1
     was_down[2:5, 0] = was_down[3:, 1] = True
     steps = _steps(num, 2, fell=fell, was_down=was_down)
-    assert measure.recovery_times(steps).tolist() == [4.0, math.inf]
+    assert measure.recovery_times(steps, 25).tolist() == [4.0, math.inf]
     found = measure.summarise(steps, ANT, sigma=0.3)
     assert found.recovered == 0.5 and found.recovery_seconds == pytest.approx(0.4)
-    assert found.falls == pytest.approx(2000 / found.num_subgoals)
+    assert found.num_subgoals == 40  # two robots, 40 steps, two steps a subgoal
+    assert found.falls == pytest.approx(2000 / 40)
 
 
 def test_a_fall_shortly_before_the_end_says_nothing_of_recovery():
     fell, ended, was_down = (np.zeros((40, 1)) for _ in range(3))
     fell[10], ended[12], was_down[11:13] = 1, 1, 1
     steps = _steps(40, fell=fell, ended=ended > 0, was_down=was_down > 0)
-    assert len(measure.recovery_times(steps)) == 0
+    assert len(measure.recovery_times(steps, 25)) == 0
 
 
 def test_end_points_are_in_the_worlds_frame():
@@ -118,6 +119,11 @@ def test_measuring_the_shipped_ant(tmp_path):
     assert tables.of_subgoals(found, "ant").row_count == 12
     with pytest.raises(base.UserError, match="not empty"):
         measure.measure(options)
+
+
+def test_too_few_subgoals_for_postures():
+    with pytest.raises(base.UserError, match="num_subgoals = 100 must be at least 256"):
+        measure_config.MeasureConfig(num_subgoals=100)
 
 
 @pytest.mark.parametrize("text", ["", "{}", json.dumps({measure.OPEN: {"sigma": 1}})])

@@ -5,6 +5,7 @@ import dataclasses
 import pytest
 
 from eihrl_jax import base, presets
+from eihrl_jax import config as config_lib
 from experiments import ablate_low
 
 HEADER = "step,eval/along_mean,eval/along_std,eval/lateral_mean,eval/lateral_std,eval/falls"
@@ -13,6 +14,15 @@ HEADER = "step,eval/along_mean,eval/along_std,eval/lateral_mean,eval/lateral_std
 def _finished(config, name, seed, *rows):
     folder = config.out / name.replace(" ", "-") / f"seed-{seed}"
     (folder / "policy").mkdir(parents=True)
+    best = dataclasses.replace(
+        presets.low_best(),
+        num_iterations=config.num_iterations,
+        seed=seed,
+        run=folder,
+        resume=True,
+    )
+    trained = ablate_low.VARIANTS[name](best)
+    (folder / "config.json").write_text(config_lib.to_json(trained))
     (folder / "metrics.csv").write_text("\n".join([HEADER, *rows]) + "\n")
 
 
@@ -33,6 +43,13 @@ def test_finished_runs_are_compared(tmp_path):
     assert curve[:, 0].tolist() == [4000.0, 8000.0]
 
 
+def test_runs_of_another_budget_are_not_mixed_in(tmp_path):
+    config = ablate_low.AblationConfig(out=tmp_path, seeds=(0,), variants=("best",))
+    _finished(config, "best", 0, "500,1.0,0.3,0.0,0.4,9")
+    with pytest.raises(base.UserError, match="was trained with other options"):
+        ablate_low.main(dataclasses.replace(config, num_iterations=500))
+
+
 def test_every_variant_but_best_changes_the_preset():
     best = presets.low_best()
     for name, change in ablate_low.VARIANTS.items():
@@ -45,7 +62,8 @@ def test_every_variant_but_best_changes_the_preset():
     [
         ({"variants": ("worse",)}, "variants = 'worse' must be one of best, "),
         ({"variants": ()}, "must name at least one"),
-        ({"num_iterations": 750}, "500 = 500 must divide num_iterations = 750"),
+        ({"seeds": (1, 1)}, "names one more than once"),
+        ({"num_iterations": 750}, "evaluate_every = 500 must divide num_iterations = 750"),
     ],
 )
 def test_wrong_options_are_named(options, message):

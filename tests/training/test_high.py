@@ -128,6 +128,8 @@ def test_measured_walking_takes_the_place_of_the_nominal(tmp_path):
     assert env.movement.sigma == pytest.approx(math.sqrt((0.16 + 0.09) / 2))
     with pytest.raises(base.UserError, match=r"subgoals\.json can't be read"):
         high.make_env(high_config.Task(measured=tmp_path / "nowhere"))
+    with pytest.raises(base.UserError, match=r"sigma = 0\.5 can't be set together with measured"):
+        high_config.Task(measured=tmp_path, sigma=0.5)
 
 
 def test_a_folder_that_is_taken_is_noticed_first(tmp_path):
