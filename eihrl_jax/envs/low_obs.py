@@ -72,7 +72,7 @@ def features(
         displacement_xy = rotations.to_direction_frame(displacement_xy, obs.direction)
     symmetry = _symmetry(robot, options)
     if symmetry is not None:
-        variant = _canonical_variant(body, robot, symmetry)
+        variant = _canonical_variant(body, displacement_xy, robot, symmetry)
         body = _rename(body, variant, robot, symmetry)
         displacement_xy = _mirror_xy(displacement_xy, variant, symmetry)
     if robot.root == "free":
@@ -133,6 +133,10 @@ _SIZES = {"free": (1, 4, 2, 1, 3), "planar": (0, 1, 2, 0, 1), "slide": (0, 0, 2,
 """Sizes of the parts by kind of root, joints left out."""
 
 
+_ODD = {"free": ([0, 1, 0, 1], [1, 0, 1]), "planar": ([0, 1], [1]), "slide": ([], [])}
+"""Which entries of orientation and spin change their sign in a mirror at y = 0, by kind of root."""
+
+
 def _split(proprioception: Float[Array, " P"], robot: robot_lib.Robot) -> _Body:
     """Takes proprioception apart; a yaw becomes a vector, so that full turns don't add up."""
     height, orientation, xy, z, spin = _SIZES[robot.root]
@@ -164,17 +168,22 @@ def _variant(
 ) -> Int[Array, ""]:
     """Returns which renaming makes an observation canonical."""
     body = _turn(_split(obs.proprioception, robot), obs.direction, robot)
-    return _canonical_variant(body, robot, symmetry)
+    displacement_xy = rotations.to_direction_frame(obs.displacement_xy, obs.direction)
+    return _canonical_variant(body, displacement_xy, robot, symmetry)
 
 
 def _canonical_variant(
-    body: _Body, robot: robot_lib.Robot, symmetry: symmetry_lib.Symmetry
+    body: _Body,
+    displacement_xy: Float[Array, "2"],
+    robot: robot_lib.Robot,
+    symmetry: symmetry_lib.Symmetry,
 ) -> Int[Array, ""]:
     """Returns the variant, see `robots.symmetry.tables`, in which the body faces the subgoal.
 
-    That is: its heading is within half a turn of the symmetry of x+, and not to the right of it.
+    That is: its heading is within half a turn of the symmetry of x+, and not to the right of it. A
+    sliding robot has no heading, and must not have drifted to the right instead.
     """
-    heading_xy = body.orientation
+    heading_xy = body.orientation if robot.root == "planar" else displacement_xy
     if robot.root == "free":
         heading_xy = rotations.heading(body.orientation)
     pitch = 2.0 * jnp.pi / symmetry.num_turns
@@ -191,20 +200,20 @@ def _rename(
     """Turns the body's axes about its z axis, mirrors the world at y = 0, renames the joints."""
     turns = (variant % symmetry.num_turns).astype(jnp.float32)
     angle = 2.0 * jnp.pi / symmetry.num_turns * turns
+    orientation, spin = body.orientation, body.spin
     if robot.root == "free":
-        orientation = rotations.turn_body(body.orientation, angle)
-        spin = jnp.concatenate([rotations.turn(body.spin[:2], -angle), body.spin[2:]])
-        is_odd, is_spin_odd = jnp.array([0, 1, 0, 1]), jnp.array([1, 0, 1])
-    else:
-        orientation, spin = rotations.turn(body.orientation, angle), body.spin
-        is_odd, is_spin_odd = jnp.array([0, 1]), jnp.array([1])
+        orientation = rotations.turn_body(orientation, angle)
+        spin = jnp.concatenate([rotations.turn(spin[:2], -angle), spin[2:]])
+    elif robot.root == "planar":
+        orientation = rotations.turn(orientation, angle)
+    is_odd, is_spin_odd = (jnp.array(each, bool) for each in _ODD[robot.root])
     is_mirrored = variant >= symmetry.num_turns
     order, signs = symmetry.joint_tables()
     return body._replace(
-        orientation=jnp.where(is_mirrored & (is_odd > 0), -orientation, orientation),
+        orientation=jnp.where(is_mirrored & is_odd, -orientation, orientation),
         joints=_reorder(body.joints, variant, order, signs),
         velocity_xy=_mirror_xy(body.velocity_xy, variant, symmetry),
-        spin=jnp.where(is_mirrored & (is_spin_odd > 0), -spin, spin),
+        spin=jnp.where(is_mirrored & is_spin_odd, -spin, spin),
         joint_velocity=_reorder(body.joint_velocity, variant, order, signs),
     )
 

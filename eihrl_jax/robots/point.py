@@ -2,7 +2,7 @@
 
 import pathlib
 
-from eihrl_jax.robots import robot
+from eihrl_jax.robots import robot, symmetry
 
 ROBOT = robot.Robot(
     name="point",
@@ -13,5 +13,6 @@ ROBOT = robot.Robot(
     steps_per_subgoal=25,
     reach=0.5,
     body_radius=0.5,
+    symmetry=symmetry.Symmetry(mirror_joints=(), mirror_controls=(1, -2)),
 )
 """Terminal speed is 2 units per second, so one cell takes at least 1.5 s of a subgoal's 2.5 s."""

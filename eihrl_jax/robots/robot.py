@@ -62,7 +62,7 @@ class Robot:
         checks.in_range("qvel_noise", self.qvel_noise, 0.0, 10.0)
         if self.healthy_z is not None and not self.healthy_z[0] < self.healthy_z[1]:
             raise base.UserError(f"healthy_z = {self.healthy_z} must be a height and a greater one")
-        if self.symmetry is not None and self.root == "slide":
+        if self.symmetry is not None and self.symmetry.num_turns > 1 and self.root == "slide":
             raise base.UserError("symmetry: a robot with root 'slide' has no heading to turn")
         if self.healthy_z is not None and self.root != "free":
             raise base.UserError(f"healthy_z: a robot with root {self.root!r} can't fall")

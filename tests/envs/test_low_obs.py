@@ -115,6 +115,8 @@ def _image(state, robot, variant):
             quat *= [1, -1, 1, -1]
             qvel[3:6] *= [-1, 1, -1]
         qpos[3:7], num_root = quat, 7
+    elif robot.root == "slide":
+        num_root = 2
     else:
         qpos[2] += angle
         if mirrored:
@@ -136,7 +138,7 @@ def _observe(state, robot):
 
 SYMMETRIC = [
     (robot, variant)
-    for robot in (ANT, SWIMMER, HUMANOID, CART)
+    for robot in (POINT, ANT, SWIMMER, HUMANOID, CART)
     for variant in range(len(robot.symmetry.joint_tables()[0]))
 ]
 

@@ -1,5 +1,6 @@
 """Every robot loads, settles, steps without exploding on both engines, and is as it says it is."""
 
+import dataclasses
 import pathlib
 import re
 
@@ -12,6 +13,7 @@ import pytest
 from eihrl_jax import base, robots
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import kinematics, scene
+from eihrl_jax.robots import symmetry
 
 NUM = 4
 
@@ -212,7 +214,7 @@ def test_a_robot_of_ones_own_moves_and_meets_walls():
             False,
             "needs num_turns above 1",
         ),
-        ('"planar"', '"slide"', False, "has no heading to turn"),
+        ('"planar"', '"slide"', False, "its first two actuators must push along x and y"),
         ('axis="0 1 0"', 'axis="0 0 1"', True, "must slide along x and y"),
         ('axis="0 0 1" damping="8"', 'axis="1 0 0"', True, "and turn about z"),
         ('ctrllimited="true"', 'ctrllimited="false"', True, "every actuator's ctrlrange"),
@@ -234,3 +236,9 @@ def test_what_is_wrong_with_a_description_is_said(tmp_path, old, new, in_xml, me
 def test_a_missing_description_is_named():
     with pytest.raises(base.UserError, match=r"robot 'no\.toml': No such file"):
         robots.load("no.toml")
+
+
+def test_a_sliding_robot_can_be_mirrored_but_not_turned():
+    turned = symmetry.Symmetry(num_turns=2, turn_controls=(-1, -2))
+    with pytest.raises(base.UserError, match="has no heading to turn"):
+        dataclasses.replace(robots.load("point"), symmetry=turned)
