@@ -3,8 +3,6 @@
 The number of boxes depends on the robot's reach alone, so a step costs the same in every maze.
 """
 
-from collections.abc import Callable
-
 import mujoco
 import numpy as np
 
@@ -86,27 +84,6 @@ def build(robot: robot_lib.Robot) -> mujoco.MjModel:
     return model
 
 
-def _check_geoms(model: mujoco.MjModel, what: str) -> None:
-    """Checks that the robot's geoms meet floor and walls alone, see `docs/robots.md`."""
-    own = model.geom_conaffinity == 0
-    others = [name for name in map(_geom_name(model), np.flatnonzero(~own)) if not _is_ours(name)]
-    if others:
-        raise base.UserError(f"{what}: geom {others[0]!r} must have conaffinity 0")
-    if not np.isin(model.geom_contype[own], (0, BOTH, FLOOR_ONLY, WALLS_ONLY)).all():
-        raise base.UserError(f"{what}: contype of a geom must be 0, 1, 2 or 4")
-    if model.geom_margin[own].any():
-        raise base.UserError(f"{what}: geoms must have no margin")
-
-
-def _geom_name(model: mujoco.MjModel) -> Callable[[int], str]:
-    return lambda index: model.geom(index).name or str(index)
-
-
-def _is_ours(name: str) -> bool:
-    """Tells whether a geom is the floor or a wall of the scene."""
-    return name == "floor" or name.startswith("wall_")
-
-
 def _unusable(robot: robot_lib.Robot, error: Exception) -> base.UserError:
     """Says in one line what MuJoCo says in several."""
     return base.UserError(f"robot {robot.name!r}: {robot.mjcf}: {' '.join(str(error).split())}")
@@ -145,3 +122,16 @@ def _check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
             found = robot.symmetry.size(name)
             if found != size:
                 raise base.UserError(f"{what}: symmetry orders {found} {name}, it has {size}")
+
+
+def _check_geoms(model: mujoco.MjModel, what: str) -> None:
+    """Checks that the robot's geoms meet floor and walls alone, see `docs/robots.md`."""
+    is_own = model.geom_conaffinity == 0
+    for index in np.flatnonzero(~is_own).tolist():
+        name = model.geom(index).name
+        if name != "floor" and not name.startswith("wall_"):
+            raise base.UserError(f"{what}: geom {name or index!r} must have conaffinity 0")
+    if not np.isin(model.geom_contype[is_own], (0, BOTH, FLOOR_ONLY, WALLS_ONLY)).all():
+        raise base.UserError(f"{what}: contype of a geom must be 0, 1, 2 or 4")
+    if model.geom_margin[is_own].any():
+        raise base.UserError(f"{what}: geoms must have no margin")
