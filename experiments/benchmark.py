@@ -121,7 +121,7 @@ def _rows(part: str, result: Any) -> list[str]:
             for name, item in result.items()
         ]
     if part == "engines":
-        return [f"| MJX against MuJoCo C | {json.dumps(row)} |" for row in result]
+        return [_engines_row(row) for row in result]
     if part == "walking":
         return [
             "| ants that walk with the policy in the loop against the engine alone, 64 ants | "
@@ -137,6 +137,12 @@ def _rows(part: str, result: Any) -> list[str]:
         "| 500 episodes of the walking ant on the Random Square, past compilation | "
         f"{result['seconds']:.0f} s, success {100 * result['success']:.1f} % |"
     ]
+
+
+def _engines_row(row: dict[str, Any]) -> str:
+    where = "at walls" if row["walls"] else "on open floor"
+    numbers = ", ".join(f"{name} {row[name]:.0e}" for name in ("median", "p90", "max"))
+    return f"| MJX against MuJoCo C, 50 control steps {where}, {row['comparison']} | {numbers} |"
 
 
 def _learning_rows(view: str, runs: list[dict[str, Any]]) -> list[str]:
