@@ -55,7 +55,7 @@ def smooth(values: Float[np.ndarray, " N"], window: int) -> Float[np.ndarray, " 
 
 def save(
     path: pathlib.Path,
-    curves: Mapping[str, Float[np.ndarray, "N 2"]],
+    curves: Mapping[str, Float[np.ndarray, "_ 2"]],
     *,
     x_label: str,
     y_label: str,
@@ -88,7 +88,7 @@ def save(
 
 def save_spread(
     path: pathlib.Path,
-    groups: Mapping[str, Sequence[Float[np.ndarray, "N 2"]]],
+    groups: Mapping[str, Sequence[Float[np.ndarray, "_ 2"]]],
     *,
     x_label: str,
     y_label: str,
