@@ -81,8 +81,8 @@ def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
         "interface": _bench_physics.interface_ratio,
         "maze_cost": lambda: {
             # A step of MJX takes fifty times as long on a processor.
-            name: _bench_physics.maze_cost_ratio(name, repeats=repeats)
-            for name, repeats in (("mujoco", 15), ("mjx", 3))
+            name: _bench_physics.maze_cost_ratio(name, num_envs=num_envs, repeats=repeats)
+            for name, num_envs, repeats in (("mujoco", 256, 15), ("mjx", 32, 5))
         },
         "engines": _bench_physics.engine_deviations,
         "walking": _bench_low.walking_rate,
