@@ -82,7 +82,7 @@ def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
         "maze_cost": lambda: {
             # A step of MJX takes fifty times as long on a processor.
             name: _bench_physics.maze_cost_ratio(name, num_envs=num_envs, repeats=repeats)
-            for name, num_envs, repeats in (("mujoco", 256, 15), ("mjx", 32, 5))
+            for name, num_envs, repeats in (("mujoco", 256, 15), ("mjx", 32, 12))
         },
         "engines": _bench_physics.engine_deviations,
         "walking": _bench_low.walking_rate,
