@@ -26,7 +26,6 @@ from eihrl_jax.training import subgoals, versions
 
 SUBGOALS_PER_EPISODE = 20
 NUM_ROOMS = 256
-OPEN, ROOMS = "open floor", "random rooms"
 _ROOM_SEED = 2**32
 """Added to the seed: rooms that no training, whose seeds are below, has drawn."""
 
@@ -90,7 +89,7 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
     policy = systems.load_low(options.low or options.robot, robot)
     engine = engine_lib.make(robot, options.engine)
     walled = rooms.random_rooms(NUM_ROOMS, _ROOM_SEED + options.seed)
-    floors = {OPEN: rooms.open_floor(), ROOMS: walled}
+    floors = {subgoals.OPEN: rooms.open_floor(), subgoals.ROOMS: walled}
     found: dict[str, subgoals.Statistics] = {}
     with progress_lib.Progress(f"{robot.name}, subgoals", len(floors), unit="surroundings") as bar:
         for index, (name, floor) in enumerate(floors.items()):
@@ -103,7 +102,7 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
             )
             steps = jax.device_get(_walk(env, policy, options, index))
             found[name] = summarise(steps, robot, options.sigma)
-            if name == OPEN:
+            if name == subgoals.OPEN:
                 first = steps
             bar.update(index + 1, {})
     options.out.mkdir(parents=True, exist_ok=True)
@@ -111,7 +110,7 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
     about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
     text = json.dumps(document | about | {"versions": versions.describe()}, indent=2)
     (options.out / subgoals.FILE).write_text(text + "\n")
-    title = f"{robot.name}, {OPEN}"
+    title = f"{robot.name}, {subgoals.OPEN}"
     scatter.save(options.out / "subgoals.png", end_points(first), title, options.sigma)
     bank = postures.PostureBank(qpos=_postures(first, robot, options.num_postures))
     postures.save(bank, options.out / subgoals.POSTURES, robot)
@@ -196,7 +195,7 @@ def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.St
     counts = _counts(steps)
     along, lateral = np.asarray(steps.along)[counts], np.asarray(steps.lateral)[counts]
     ended = (steps.switched > 0) & steps.begun.is_upright
-    begun = ended | ((steps.broke_down > 0) & steps.begun.is_upright)
+    begun = ((steps.switched > 0) | (steps.broke_down > 0)) & steps.begun.is_upright
     num_begun = max(int(begun.sum()), 1)
     times = recovery_times(steps, robot.steps_per_subgoal)
     stood_again = times[np.isfinite(times)]

@@ -117,7 +117,7 @@ def _check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
     if not model.nkey:
         raise base.UserError(f"{what}: it has no keyframe, the posture in which episodes start")
     if robot.symmetry is not None:
-        num_joints = model.nv - {"free": 6, "planar": 3, "slide": 2}[robot.root]
+        num_joints = model.njnt - len(joints)
         for name, size in (("joints", num_joints), ("controls", model.nu)):
             found = robot.symmetry.size(name)
             if found != size:

@@ -15,6 +15,9 @@ from eihrl_jax.robots import robot as robot_lib
 FILE, POSTURES = "subgoals.json", "postures.npz"
 """Names of the files in which a measurement keeps its figures and its posture bank."""
 
+OPEN, ROOMS = "open floor", "random rooms"
+"""Surroundings in which low levels are measured."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Statistics:
@@ -65,7 +68,7 @@ def load(folder: pathlib.Path) -> Statistics:
     """
     path = folder / FILE
     try:
-        found = Statistics(**json.loads(path.read_text())["open floor"])
+        found = Statistics(**json.loads(path.read_text())[OPEN])
         is_known = math.isfinite(found.along_mean) and math.isfinite(found.sigma)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise base.UserError(f"measurement {path} can't be read: {error}") from None

@@ -111,9 +111,9 @@ def test_measuring_the_shipped_ant(tmp_path):
     out = tmp_path / "out"
     options = measure_config.MeasureConfig(num_subgoals=100, num_envs=10, num_postures=50, out=out)
     found = measure.measure(options)
-    np.testing.assert_equal(vars(subgoals.load(out)), vars(found[measure.OPEN]))
-    assert found[measure.OPEN].along_mean > 2.0 and found[measure.OPEN].blocked == 0.0
-    assert 0.0 < found[measure.ROOMS].blocked < 1.0
+    np.testing.assert_equal(vars(subgoals.load(out)), vars(found[subgoals.OPEN]))
+    assert found[subgoals.OPEN].along_mean > 2.0 and found[subgoals.OPEN].blocked == 0.0
+    assert 0.0 < found[subgoals.ROOMS].blocked < 1.0
     assert postures.load(out / "postures.npz", robots.load("ant")).qpos.shape == (50, 15)
     assert (out / "subgoals.png").stat().st_size > 10_000
     assert tables.of_subgoals(found, "ant").row_count == 12
@@ -126,7 +126,7 @@ def test_too_few_subgoals_for_postures():
         measure_config.MeasureConfig(num_subgoals=100)
 
 
-@pytest.mark.parametrize("text", ["", "{}", json.dumps({measure.OPEN: {"sigma": 1}})])
+@pytest.mark.parametrize("text", ["", "{}", json.dumps({subgoals.OPEN: {"sigma": 1}})])
 def test_damaged_figures_are_named(tmp_path, text):
     (tmp_path / subgoals.FILE).write_text(text)
     with pytest.raises(base.UserError, match=r"subgoals\.json can't be read"):
