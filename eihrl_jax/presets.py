@@ -58,7 +58,39 @@ def low_point() -> low_config.LowConfig:
     )
 
 
-LOW = {"best": low_best(), "paper": low_paper(), "point": low_point()}
+def low_swimmer() -> low_config.LowConfig:
+    """`best` for the swimmer, which is slow to turn and needs more practice."""
+    return dataclasses.replace(
+        low_best(),
+        preset="swimmer",
+        robot="swimmer",
+        num_iterations=15_000,
+        checkpoint_every=2_500,
+    )
+
+
+def low_humanoid() -> low_config.LowConfig:
+    """`best` for the humanoid, which must learn not to fall before it learns to walk."""
+    best = low_best()
+    return dataclasses.replace(
+        best,
+        preset="humanoid",
+        robot="humanoid",
+        num_iterations=100_000,
+        capacity=1_280_000,
+        episode_steps=1_000,
+        reward=dataclasses.replace(best.reward, fall_cost=20.0),
+        checkpoint_every=5_000,
+    )
+
+
+LOW = {
+    "best": low_best(),
+    "paper": low_paper(),
+    "point": low_point(),
+    "swimmer": low_swimmer(),
+    "humanoid": low_humanoid(),
+}
 """Presets of `train_low`, its default first."""
 
 

@@ -50,6 +50,7 @@ VARIANTS: dict[str, Change] = {
     "reward of eq. 1": _reward(lateral_weight=0.0, beyond_cell=1.0),
     "actor not averaged": _droq(average_rate=1.0),
     "falls cost 10": _reward(fall_cost=10.0),
+    "falls end nothing": _run(ends_at_fall=False),
     "no inner walls": _run(num_rooms=0),
 }
 """What is changed in preset `best`, one thing at a time, by name."""

@@ -130,6 +130,7 @@ class LowConfig:
       relabel_share: share of the drawn steps that are looked at so.
       num_rooms: random rooms to walk in, every second one with inner walls; 0: open floor alone.
       episode_steps: control steps per episode.
+      ends_at_fall: a fall ends the episode; else the robot may learn to get up again.
       low_input: how observations become the network's input.
       reward: the intrinsic reward.
       droq: hyper-parameters of the learner.
@@ -154,6 +155,7 @@ class LowConfig:
     relabel_share: float = 1.0
     num_rooms: int = 0
     episode_steps: int = 500
+    ends_at_fall: bool = True
     low_input: LowInput = LowInput()
     reward: LowReward = LowReward()
     droq: Droq = Droq()

@@ -10,7 +10,7 @@ ROBOT = robot.Robot(
     root="free",
     physics_step=0.005,
     num_substeps=5,
-    steps_per_subgoal=100,
+    steps_per_subgoal=200,
     reach=1.35,
     body_radius=0.4,
     healthy_z=(1.0, 2.0),
@@ -21,5 +21,4 @@ ROBOT = robot.Robot(
         mirror_controls=(1, -2, -3, 8, 9, 10, 11, 4, 5, 6, 7, -15, -16, 17, -12, -13, 14),
     ),
 )
-"""0.025 s per control step. A trained runner's 1.2 units/s covers one cell in the 2.5 s of a
-subgoal, the same time as the ant's. A guess until one is trained."""
+"""0.025 s per control step, and 5 s per subgoal: to turn and to walk 3 units at a stroll."""

@@ -62,6 +62,7 @@ class LowTrainer:
             engine,
             reward_options=config.reward,
             episode_steps=config.episode_steps,
+            ends_at_fall=config.ends_at_fall,
         )
         self._env = wrappers.AutoReset(make_env(floor))
         self._test_env = wrappers.AutoReset(make_env(rooms.open_floor()))
