@@ -1,0 +1,259 @@
+"""Exact values of flat and hierarchical policies on finite MDPs, to check bounds against.
+
+Arrays are NumPy's, in float64. All may have leading axes, the same for all: many MDPs at once. S:
+states, A: actions, G: subgoals.
+
+| name | shape | meaning |
+|---|---|---|
+| transition | [S, A, S] | probability of the next state |
+| reward | [S, A] | expected reward of a step |
+| flat | [S, A] | probability of an action under the flat policy |
+| low | [G, S, A] | the same under the low level, given a subgoal |
+| high | [S, G] | probability of a subgoal, drawn every k steps |
+
+Functions raise ValueError where a shape doesn't fit or probabilities don't sum to 1.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from eihrl_jax.theory import arguments, segments
+
+Matrix = Float[np.ndarray, "... S S"]
+Vector = Float[np.ndarray, "... S"]
+
+
+def k_step_model(
+    transition: Any,
+    reward: Any,
+    flat: Any,
+    k: int,
+    gamma: float,
+    *,
+    segment_reward: segments.SegmentReward = "discounted",
+) -> tuple[Matrix, Vector]:
+    """Computes where k steps of a policy lead, and what they pay.
+
+    Args:
+      transition: [..., S, A, S].
+      reward: [..., S, A].
+      flat: [..., S, A].
+      k: at least 1.
+      gamma: in [0, 1).
+      segment_reward: whether rewards are discounted inside the k steps.
+
+    Returns:
+      float64 [..., S, S], probabilities of the state after k steps, and [..., S], expected rewards.
+
+    Raises:
+      ValueError: an argument has a wrong shape or value.
+      TypeError: k isn't an integer.
+    """
+    steps = arguments.scalar_count("k", k)
+    gamma = float(arguments.real("gamma", gamma, below=1.0))
+    transition, reward, flat = _check(transition, reward, flat)
+    kernel, one_reward = _one_step(transition, reward, flat)
+    return _repeat(kernel, one_reward, steps, gamma, segment_reward)
+
+
+def option_models(
+    transition: Any,
+    reward: Any,
+    low: Any,
+    k: int,
+    gamma: float,
+    *,
+    segment_reward: segments.SegmentReward = "discounted",
+) -> tuple[Float[np.ndarray, "... G S S"], Float[np.ndarray, "... G S"]]:
+    """Computes `k_step_model` of the low level under each subgoal.
+
+    Args:
+      transition: [..., S, A, S].
+      reward: [..., S, A].
+      low: [..., G, S, A].
+      k: at least 1.
+      gamma: in [0, 1).
+      segment_reward: whether rewards are discounted inside the k steps.
+
+    Returns:
+      float64 [..., G, S, S] and [..., G, S].
+
+    Raises:
+      ValueError: an argument has a wrong shape or value.
+      TypeError: k isn't an integer.
+    """
+    transition, reward = np.asarray(transition), np.asarray(reward)
+    return k_step_model(
+        transition[..., None, :, :, :],
+        reward[..., None, :, :],
+        low,
+        k,
+        gamma,
+        segment_reward=segment_reward,
+    )
+
+
+def policy_value(transition: Any, reward: Any, flat: Any, gamma: float) -> Vector:
+    """Computes the values of a flat policy: float64 [..., S].
+
+    Raises:
+      ValueError: an argument has a wrong shape or value.
+    """
+    kernel, one_reward = k_step_model(transition, reward, flat, 1, gamma)
+    return _solve(kernel, one_reward, gamma)
+
+
+def segment_value(
+    transition: Any,
+    reward: Any,
+    flat: Any,
+    k: int,
+    gamma: float,
+    *,
+    segment_reward: segments.SegmentReward = "discounted",
+) -> Vector:
+    """Computes the values of a flat policy as a hierarchy's are counted: in segments of k steps.
+
+    With discounted segments they are `policy_value`.
+
+    Raises:
+      ValueError: an argument has a wrong shape or value.
+      TypeError: k isn't an integer.
+    """
+    kernel, rewards = k_step_model(
+        transition, reward, flat, k, gamma, segment_reward=segment_reward
+    )
+    return _solve(kernel, rewards, gamma**k)
+
+
+def hierarchical_value(
+    transition: Any,
+    reward: Any,
+    low: Any,
+    high: Any,
+    k: int,
+    gamma: float,
+    *,
+    segment_reward: segments.SegmentReward = "discounted",
+) -> Vector:
+    """Computes the values of a hierarchy when a subgoal is about to be drawn: float64 [..., S].
+
+    Args:
+      transition: [..., S, A, S].
+      reward: [..., S, A].
+      low: [..., G, S, A].
+      high: [..., S, G].
+      k: at least 1.
+      gamma: in [0, 1).
+      segment_reward: whether rewards are discounted inside the k steps.
+
+    Raises:
+      ValueError: an argument has a wrong shape or value.
+      TypeError: k isn't an integer.
+    """
+    kernels, rewards = option_models(
+        transition, reward, low, k, gamma, segment_reward=segment_reward
+    )
+    num_subgoals, num_states = rewards.shape[-2:]
+    chosen = arguments.probabilities("high", high, (num_states, num_subgoals))
+    return _solve(*_mix(kernels, rewards, chosen), gamma**k)
+
+
+def optimal_value(
+    transition: Any, reward: Any, gamma: float
+) -> tuple[Vector, Float[np.ndarray, "... S A"]]:
+    """Computes the best values of all policies, and a deterministic policy that attains them.
+
+    Raises:
+      ValueError: an argument has a wrong shape or value.
+    """
+    gamma = float(arguments.real("gamma", gamma, below=1.0))
+    num_actions = np.asarray(reward).shape[-1]
+    uniform = np.full_like(np.asarray(reward, np.float64), 1.0 / num_actions)
+    transition, reward, _ = _check(transition, reward, uniform)
+    return _improve(np.swapaxes(transition, -3, -2), np.swapaxes(reward, -2, -1), gamma)
+
+
+def optimal_hierarchical_value(
+    transition: Any,
+    reward: Any,
+    low: Any,
+    k: int,
+    gamma: float,
+    *,
+    segment_reward: segments.SegmentReward = "discounted",
+) -> tuple[Vector, Float[np.ndarray, "... S G"]]:
+    """Computes the best values of all high levels, and a deterministic one that attains them.
+
+    Raises:
+      ValueError: an argument has a wrong shape or value.
+      TypeError: k isn't an integer.
+    """
+    kernels, rewards = option_models(
+        transition, reward, low, k, gamma, segment_reward=segment_reward
+    )
+    return _improve(kernels, rewards, gamma**k)
+
+
+def _check(transition: Any, reward: Any, flat: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns the three in float64 after checking that they fit together."""
+    transition = arguments.probabilities("transition", transition, (None, None, None))
+    num_states, num_actions = transition.shape[-3:-1]
+    if transition.shape[-1] != num_states:
+        raise ValueError(
+            f"transition has shape {transition.shape}, expected (..., S, A, S) with equal S"
+        )
+    reward = arguments.table("reward", reward, (num_states, num_actions))
+    policy = arguments.probabilities("flat", flat, (num_states, num_actions))
+    return transition, reward, policy
+
+
+def _one_step(
+    transition: np.ndarray, reward: np.ndarray, policy: np.ndarray
+) -> tuple[Matrix, Vector]:
+    return np.einsum("...sa,...sat->...st", policy, transition), (policy * reward).sum(-1)
+
+
+def _repeat(
+    kernel: Matrix, one_reward: Vector, k: int, gamma: float, segment_reward: str
+) -> tuple[Matrix, Vector]:
+    """Returns the kernel's k-th power, and the rewards of k steps."""
+    arguments.one_of("segment_reward", segment_reward, ("discounted", "undiscounted"))
+    discount = gamma if segment_reward == "discounted" else 1.0
+    power, rewards = kernel, one_reward
+    for _ in range(k - 1):
+        power = kernel @ power
+        rewards = one_reward + discount * (kernel @ rewards[..., None])[..., 0]
+    return power, rewards
+
+
+def _mix(kernels: np.ndarray, rewards: np.ndarray, chosen: np.ndarray) -> tuple[Matrix, Vector]:
+    """Returns the model of a segment whose option is drawn with the probabilities [..., S, G]."""
+    kernel = np.einsum("...sg,...gst->...st", chosen, kernels)
+    return kernel, np.einsum("...sg,...gs->...s", chosen, rewards)
+
+
+def _solve(kernel: Matrix, rewards: Vector, discount: float) -> Vector:
+    """Solves v = rewards + discount * kernel v."""
+    system = np.eye(kernel.shape[-1]) - discount * kernel
+    return np.linalg.solve(system, rewards[..., None])[..., 0]
+
+
+def _improve(
+    kernels: Float[np.ndarray, "... C S S"], rewards: Float[np.ndarray, "... C S"], discount: float
+) -> tuple[Vector, Float[np.ndarray, "... S C"]]:
+    """Policy iteration over C choices in all MDPs at once; changes a choice only if it gains."""
+    num_choices = rewards.shape[-2]
+    best = np.zeros(rewards.shape[:-2] + rewards.shape[-1:], np.int64)
+    while True:
+        chosen = np.eye(num_choices)[best]
+        value = _solve(*_mix(kernels, rewards, chosen), discount)
+        gains = rewards + discount * (kernels @ value[..., None, :, None])[..., 0]
+        now = np.take_along_axis(gains, best[..., None, :], -2)[..., 0, :]
+        margin = 1e-12 * np.maximum(1.0, np.abs(now))
+        is_better = gains.max(-2) > now + margin
+        if not is_better.any():
+            return value, chosen
+        best = np.where(is_better, gains.argmax(-2), best)
