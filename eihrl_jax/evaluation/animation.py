@@ -240,15 +240,11 @@ def _with_panel(
 
 def _patch_picture(patch: Bool[np.ndarray, "P P 3"], side: int) -> Image.Image:
     """Draws a patch: walls, goals and robot in the colours of the large picture."""
-    wall, goal, robot = np.moveaxis(patch, -1, 0)
-    image = np.full((*wall.shape, 3), palette.rgb(palette.FLOOR))
-    for mask, colour in ((wall, palette.WALL), (goal, palette.GOAL), (robot, palette.ROBOT)):
-        image[mask] = palette.rgb(colour)
-    small = Image.fromarray(np.round(255 * image).astype(np.uint8))
+    small = Image.fromarray(np.round(255 * picture.colour_patch(patch)).astype(np.uint8))
     large = small.resize((side, side), Image.Resampling.NEAREST)
     pen = ImageDraw.Draw(large)
-    for i in range(1, len(wall)):
-        at = round(i * side / len(wall))
+    for i in range(1, len(patch)):
+        at = round(i * side / len(patch))
         pen.line([(at, 0), (at, side)], palette.PAPER)
         pen.line([(0, at), (side, at)], palette.PAPER)
     return large

@@ -72,7 +72,7 @@ def save(
       y_scale: factor on the values, e.g. 100 for per cent.
       y_range: limits of the vertical axis after scaling; None: as the values need.
     """
-    axes = _axes(x_label, y_label)
+    axes = new_axes(x_label, y_label)
     for i, (label, points) in enumerate(curves.items()):
         colour = palette.CURVE[i % len(palette.CURVE)]
         x, y = points[:, 0], y_scale * points[:, 1]
@@ -83,7 +83,7 @@ def save(
         axes.set_ylim(*y_range)
     if len(curves) > 1:
         axes.legend(frameon=False, labelcolor=palette.INK, loc="lower right")
-    _print(axes, path)
+    write(axes, path)
 
 
 def save_spread(
@@ -101,7 +101,7 @@ def save_spread(
       x_label: what the horizontal axis is.
       y_label: what the vertical axis is, with its unit.
     """
-    axes = _axes(x_label, y_label)
+    axes = new_axes(x_label, y_label)
     lines = itertools.product(("-", "--"), palette.CURVE)
     for (label, curves), (style, colour) in zip(groups.items(), itertools.cycle(lines)):
         length = min(map(len, curves))
@@ -110,10 +110,10 @@ def save_spread(
         axes.plot(x, y.mean(0), style, color=colour, linewidth=2.0, label=label)
     axes.set_ylim(bottom=0.0)
     axes.legend(frameon=False, labelcolor=palette.INK, loc="upper right", fontsize=8, ncols=2)
-    _print(axes, path)
+    write(axes, path)
 
 
-def _axes(x_label: str, y_label: str) -> matplotlib.axes.Axes:
+def new_axes(x_label: str, y_label: str) -> matplotlib.axes.Axes:
     """Returns empty axes in the style of all pictures."""
     figure = matplotlib.figure.Figure(
         figsize=(7.0, 4.2), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
@@ -130,7 +130,7 @@ def _axes(x_label: str, y_label: str) -> matplotlib.axes.Axes:
     return axes
 
 
-def _print(axes: matplotlib.axes.Axes, path: pathlib.Path) -> None:
+def write(axes: matplotlib.axes.Axes, path: pathlib.Path) -> None:
     """Writes the picture of some axes, which begin at zero."""
     axes.set_xlim(left=0.0)
     figure = axes.figure

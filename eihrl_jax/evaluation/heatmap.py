@@ -3,7 +3,6 @@
 import dataclasses
 import pathlib
 from collections.abc import Sequence
-from typing import Any
 
 import matplotlib.axes
 import matplotlib.cm
@@ -11,13 +10,12 @@ import matplotlib.colorbar
 import matplotlib.colors
 import matplotlib.figure
 import matplotlib.lines
-import matplotlib.patches
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from matplotlib.backends import backend_agg
 
 from eihrl_jax import base
-from eihrl_jax.evaluation import palette, picture
+from eihrl_jax.evaluation import layout, palette
 from eihrl_jax.mazes import maze as maze_lib
 
 BINS_PER_CELL = 6
@@ -128,34 +126,11 @@ def _style_bar(bar: matplotlib.colorbar.Colorbar) -> None:
 
 def _draw(axes: matplotlib.axes.Axes, visits: Visits, norm: matplotlib.colors.Normalize) -> None:
     """Draws heat, walls, goals and starts of one maze."""
-    maze = visits.maze
-    rows, columns = maze.wall.shape
-    extent = (0.0, columns * base.CELL, -rows * base.CELL, 0.0)
     axes.imshow(
-        100.0 * visits.share, norm=norm, cmap=palette.HEAT, extent=extent, interpolation="nearest"
+        100.0 * visits.share,
+        norm=norm,
+        cmap=palette.HEAT,
+        extent=layout.extent(visits.maze),
+        interpolation="nearest",
     )
-    door = np.asarray(maze.door)
-    for cells in picture.wall_rectangles(np.asarray(maze.wall) & ~door):
-        _rectangle(axes, cells, facecolor=palette.WALL, edgecolor=palette.WALL)
-    for i, j in np.argwhere(door):
-        cell = np.array([i, j, i + 1, j + 1])
-        _rectangle(axes, cell, facecolor="none", edgecolor=palette.GOAL, linewidth=0.5)
-    goal = np.asarray(maze.goal)
-    for number in range(1, int(goal.max()) + 1):
-        for cells in picture.wall_rectangles(goal == number):
-            _rectangle(axes, cells, facecolor="none", edgecolor=palette.GOAL, linewidth=2)
-    starts = np.argwhere(np.asarray(maze.start))
-    if len(starts) <= maze_lib.MAX_GOALS:  # a room that starts anywhere needs no marks
-        x, y = (starts[:, 1] + 0.5) * base.CELL, -(starts[:, 0] + 0.5) * base.CELL
-        axes.plot(x, y, "o", markerfacecolor="none", markeredgecolor="white", markersize=9)
-    axes.set_xlim(extent[:2])
-    axes.set_ylim(extent[2:])
-    axes.set_aspect("equal")
-    axes.spines[:].set_visible(False)
-    axes.tick_params(colors=palette.INK)
-
-
-def _rectangle(axes: matplotlib.axes.Axes, cells: Int[np.ndarray, "4"], **style: Any) -> None:
-    """Adds a rectangle of cells: first row and column, last row and column + 1."""
-    i0, j0, i1, j1 = (base.CELL * n for n in cells)
-    axes.add_patch(matplotlib.patches.Rectangle((j0, -i1), j1 - j0, i1 - i0, **style))
+    layout.add_marks(axes, visits.maze, start_colour="white")

@@ -298,3 +298,16 @@ def finish(canvas: Float[np.ndarray, "H W 3"]) -> np.ndarray:
     n = SUPERSAMPLING
     parts = np.stack([canvas[i::n, j::n] for i, j in np.ndindex(n, n)])
     return (255.0 * parts.mean(0) + 0.5).astype(np.uint8)
+
+
+def colour_patch(patch: Bool[np.ndarray, "P P 3"]) -> Float[np.ndarray, "P P 3"]:
+    """Colours what a high level sees, in [0, 1]: walls, goals and robot as in the large picture.
+
+    Args:
+      patch: channels wall, unvisited goal, robot; a later one hides an earlier one.
+    """
+    wall, goal, robot = np.moveaxis(patch, -1, 0)
+    image = np.full((*wall.shape, 3), palette.rgb(palette.FLOOR))
+    for mask, colour in ((wall, palette.WALL), (goal, palette.GOAL), (robot, palette.ROBOT)):
+        image[mask] = palette.rgb(colour)
+    return image

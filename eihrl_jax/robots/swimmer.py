@@ -21,6 +21,6 @@ ROBOT = robot.Robot(
         mirror_controls=(-1, -2),
     ),
 )
-"""0.2 s per control step, and 20 s per subgoal. Trained for subgoals of 10 s, it came 1.7 units far;
-20 s leave it time to turn as well.
+"""0.2 s per control step, and 20 s per subgoal. Trained for subgoals of 10 s, it came 1.7 units
+far; 20 s leave it time to turn as well.
 `body_radius` is half the width of its undulation, not its length: it swims along corridors."""

@@ -16,6 +16,8 @@ from scipy import special as scipy_special
 Numbers = Any
 """Numbers or arrays that broadcast: NumPy's are computed in float64, JAX's in their own type."""
 
+REAL_TYPES = (jnp.floating, jnp.integer, jnp.bool_)
+
 
 def namespace(*values: Any) -> ModuleType:
     """Returns `jax.numpy` if anything is JAX's, else `numpy`."""
@@ -51,6 +53,8 @@ def real(
     if isinstance(value, int | float) and not isinstance(value, bool):
         numbers: Any = float(value)  # stays weakly typed beside JAX's arrays
     elif isinstance(value, jax.Array):
+        if not any(jnp.issubdtype(value.dtype, kind) for kind in REAL_TYPES):
+            raise TypeError(f"{name} = {value!r} must be a real number or an array of them")
         numbers = value if jnp.issubdtype(value.dtype, jnp.floating) else value.astype(float)
     else:
         numbers = np.asarray(value)
@@ -148,6 +152,20 @@ def probabilities(name: str, value: Any, shape: tuple[int | None, ...]) -> np.nd
         worst = sums.flat[np.abs(sums - 1.0).argmax()]
         raise ValueError(f"{name}: a row sums to {worst}, and must sum to 1 within 1e-6")
     return array / sums
+
+
+def transition(value: Any) -> np.ndarray:
+    """Returns the transition probabilities [..., S, A, S] of MDPs, see `probabilities`.
+
+    Raises:
+      ValueError: another shape, or rows that aren't probabilities.
+    """
+    array = probabilities("transition", value, (None, None, None))
+    if array.shape[-1] != array.shape[-3]:
+        raise ValueError(
+            f"transition has shape {array.shape}, expected (..., S, A, S) with equal S"
+        )
+    return array
 
 
 def table(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:

@@ -316,9 +316,11 @@ def gaussian_scale_total_variation(std_a: Numbers, std_b: Numbers) -> Any:
     first, second = arguments.positive("std_a", std_a), arguments.positive("std_b", std_b)
     xp = arguments.namespace(first, second)
     small, large = xp.minimum(first, second), xp.maximum(first, second)
-    apart = (large - small) * (large + small) / large**2  # 1 - a without cancellation
-    inside = xp.where(apart > 0.0, apart, 0.5)
-    power = xp.exp((1.0 - inside) / inside * xp.log1p(-inside))
+    ratio = small / large
+    apart = (1.0 - ratio) * (1.0 + ratio)  # 1 - a without cancellation
+    near = xp.where(apart < 0.5, apart, 0.5)
+    log_a = xp.where(apart < 0.5, xp.log1p(-near), 2.0 * xp.log(ratio))
+    power = xp.exp(ratio**2 / xp.where(apart > 0.0, apart, 1.0) * log_a)
     return xp.where(apart > 0.0, apart * power, 0.0)
 
 
@@ -339,10 +341,11 @@ def rician_mean(shift: Numbers, std: Numbers) -> Any:
     xp, special = arguments.namespace(mean, scale), arguments.special(mean, scale)
     is_noisy = scale > 1e-4 * mean  # below, three terms of the series are exact
     some = xp.where(is_noisy, scale, 1.0)
-    t = xp.where(is_noisy, mean, 0.0) ** 2 / (2.0 * some**2)
+    t = (xp.where(is_noisy, mean, 0.0) / some) ** 2 / 2.0
     bessel = (1.0 + t) * special.i0e(t / 2.0) + t * special.i1e(t / 2.0)
-    length = xp.where(mean > 0.0, mean, 1.0)
-    series = mean + scale**2 / (2.0 * length) + scale**4 / (8.0 * length**3)
+    length = xp.where(is_noisy | (mean == 0.0), 1.0, mean)
+    ratio = xp.where(is_noisy, 0.0, scale) / length
+    series = mean * (1.0 + ratio**2 / 2.0 + ratio**4 / 8.0)
     return xp.where(is_noisy, some * (xp.pi / 2.0) ** 0.5 * bessel, series)
 
 
@@ -384,8 +387,13 @@ def rayleigh_quantile(level: Numbers, std: Numbers, *, segments: Any = 1) -> Any
     num = arguments.count("segments", segments)
     xp = arguments.namespace(probability, scale, num)
     some = xp.where(probability > 0.0, probability, 0.5)
-    radius = scale * xp.sqrt(-2.0 * xp.log(-xp.expm1(xp.log(some) / num)))
-    return xp.where(probability > 0.0, radius, 0.0)
+    log_each = xp.log(some) / num
+    likely = xp.where(log_each > -1.0, log_each, -1.0)  # two forms, each exact where it is used
+    unlikely = xp.where(log_each > -1.0, -1.0, log_each)
+    outside = xp.where(
+        log_each > -1.0, xp.log(-xp.expm1(likely)), xp.log1p(-xp.exp(unlikely))
+    )
+    return xp.where(probability > 0.0, scale * xp.sqrt(-2.0 * outside), 0.0)
 
 
 def _published(nu: Any, k: Any, gamma: Numbers, r_max: Any, variant: Variant) -> Any:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from eihrl_jax.theory import arguments, bounds, tabular
 
-PerMdp = Float[np.ndarray, "..."]
+PerMdp = Float[np.ndarray, "..."] | np.float64
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class BoundCheck:
 
     gap: PerMdp
     bounds: dict[str, PerMdp]
-    holds: dict[str, Bool[np.ndarray, "..."]]
+    holds: dict[str, Bool[np.ndarray, "..."] | np.bool_]
 
 
 def agreement(transition: Any, flat: Any, low: Any, k: int) -> Float[np.ndarray, "... G S"]:
@@ -262,7 +262,7 @@ def _check(
     transition: Any, flat: Any, low: Any, high: Any
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Any]:
     """Returns all in float64 after checking that they fit together; `high` may be left out."""
-    transition = arguments.probabilities("transition", transition, (None, None, None))
+    transition = arguments.transition(transition)
     num_states, num_actions = transition.shape[-3:-1]
     flat = arguments.probabilities("flat", flat, (num_states, num_actions))
     low = arguments.probabilities("low", low, (None, num_states, num_actions))

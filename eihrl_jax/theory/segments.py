@@ -13,7 +13,9 @@ def lost(k: Any, gamma: arguments.Numbers) -> Any:
     num, discount = arguments.count("k", k), arguments.real("gamma", gamma, below=1.0)
     xp = arguments.namespace(num, discount)
     inside = xp.where(discount > 0.5, discount, 1.0)
-    return xp.where(discount > 0.5, -xp.expm1(num * xp.log(inside)), 1.0 - discount**num)
+    result = xp.where(discount > 0.5, -xp.expm1(num * xp.log(inside)), 1.0 - discount**num)
+    is_plain = isinstance(num, float) and isinstance(discount, float)
+    return float(result) if is_plain else result  # a number stays weakly typed
 
 
 def value_span(

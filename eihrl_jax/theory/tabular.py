@@ -84,7 +84,10 @@ def option_models(
       ValueError: an argument has a wrong shape or value.
       TypeError: k isn't an integer.
     """
-    transition, reward = np.asarray(transition), np.asarray(reward)
+    transition = arguments.transition(transition)
+    sizes = transition.shape[-3:-1]
+    reward = arguments.table("reward", reward, sizes)
+    low = arguments.probabilities("low", low, (None, *sizes))
     return k_step_model(
         transition[..., None, :, :, :],
         reward[..., None, :, :],
@@ -170,9 +173,8 @@ def optimal_value(
       ValueError: an argument has a wrong shape or value.
     """
     gamma = float(arguments.real("gamma", gamma, below=1.0))
-    num_actions = np.asarray(reward).shape[-1]
-    uniform = np.full_like(np.asarray(reward, np.float64), 1.0 / num_actions)
-    transition, reward, _ = _check(transition, reward, uniform)
+    transition = arguments.transition(transition)
+    reward = arguments.table("reward", reward, transition.shape[-3:-1])
     return _improve(np.swapaxes(transition, -3, -2), np.swapaxes(reward, -2, -1), gamma)
 
 
@@ -199,14 +201,10 @@ def optimal_hierarchical_value(
 
 def _check(transition: Any, reward: Any, flat: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the three in float64 after checking that they fit together."""
-    transition = arguments.probabilities("transition", transition, (None, None, None))
-    num_states, num_actions = transition.shape[-3:-1]
-    if transition.shape[-1] != num_states:
-        raise ValueError(
-            f"transition has shape {transition.shape}, expected (..., S, A, S) with equal S"
-        )
-    reward = arguments.table("reward", reward, (num_states, num_actions))
-    policy = arguments.probabilities("flat", flat, (num_states, num_actions))
+    transition = arguments.transition(transition)
+    sizes = transition.shape[-3:-1]
+    reward = arguments.table("reward", reward, sizes)
+    policy = arguments.probabilities("flat", flat, sizes)
     return transition, reward, policy
 
 

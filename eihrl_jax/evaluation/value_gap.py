@@ -1,0 +1,245 @@
+"""What a hierarchy loses by imperfect movement, measured by Monte Carlo, and what bounds allow.
+
+The value is the discounted success, gamma^(decisions - 1) where the goal was reached within the
+time limit, averaged over starts: its gap is at most the greatest over states, which the bounds are
+about. Episodes have the same random numbers under every noise level, so gaps are paired.
+"""
+
+import dataclasses
+import json
+
+import matplotlib.ticker
+import numpy as np
+from jaxtyping import Float
+
+from eihrl_jax import base, mazes, policies, postures, robots
+from eihrl_jax.config import value_gap as gap_config
+from eihrl_jax.evaluation import curves, palette, report, rollouts, systems
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.theory import bounds, displacement
+from eihrl_jax.training import progress as progress_lib
+from eihrl_jax.training import subgoals, versions
+
+ORACLE_ROBOT = "ant"
+"""Robot whose body and postures the oracle moves."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Gap:
+    """One way of moving against the reference, in one maze.
+
+    Attributes:
+      maze: its label.
+      movement: "oracle", or the name of the robot that walks.
+      sigma: standard deviation per axis of oracle movement, units; None: walking.
+      success: share of the episodes that reached the goal.
+      success_gap: that of the reference minus it.
+      success_margin: half the 95 % interval of `success_gap`.
+      success_bound: what |success_gap| is at most, in theory.
+      value_gap: discounted success of the reference minus that of this movement.
+      value_margin: half the 95 % interval of `value_gap`.
+      value_bound: what |value_gap| is at most, in theory.
+      total_variation: of the displacement laws, per subgoal.
+    """
+
+    maze: str
+    movement: str
+    sigma: float | None
+    success: float
+    success_gap: float
+    success_margin: float
+    success_bound: float
+    value_gap: float
+    value_margin: float
+    value_bound: float
+    total_variation: float
+
+
+def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
+    """Measures all gaps, and fills the folder.
+
+    Args:
+      options: what is compared.
+
+    Returns:
+      The gaps, oracle movement first.
+
+    Raises:
+      base.UserError: the folder isn't empty; a maze has several goals; a policy or maze is unknown.
+    """
+    report.check_new(options.out)
+    chosen = {name: mazes.load(name) for name in options.mazes}
+    for name, maze in chosen.items():
+        if int(maze.num_goals) != 1:
+            raise base.UserError(f"mazes: {name!r} has {int(maze.num_goals)} goals, must have 1")
+    high = systems.load_high(options.high)
+    reference = _oracle_law(options.reference)
+    baseline = _oracle_values(options, high, chosen, options.reference)
+    gaps: list[Gap] = []
+    for sigma in options.sigmas:
+        found = _oracle_values(options, high, chosen, sigma)
+        # Without noise the law is a point, which no density comes near.
+        delta = displacement.total_variation(_oracle_law(sigma), reference) if sigma else 1.0
+        gaps += _gaps(options, chosen, "oracle", sigma, baseline, found, delta)
+    for name in options.robots:
+        found = _walking_values(options, high, chosen, name)
+        delta = displacement.total_variation(shipped_law(name), reference)
+        gaps += _gaps(options, chosen, name, None, baseline, found, delta)
+    _write(options, gaps)
+    return gaps
+
+
+def shipped_law(robot: str) -> displacement.Displacement:
+    """Returns the displacement law of a robot's shipped low level, as its training measured it.
+
+    Raises:
+      base.UserError: the robot has none.
+    """
+    path = policies.find(robot, "low")
+    found = json.loads((path / "meta.json").read_text())["statistics"]
+    return displacement.Displacement.of(
+        found["along_mean"], found["along_std"], found["lateral_mean"], found["lateral_std"]
+    )
+
+
+def _oracle_law(sigma: float) -> displacement.Displacement:
+    return displacement.Displacement.of(base.CELL, max(sigma, 1e-12))
+
+
+def _oracle_values(
+    options: gap_config.ValueGapConfig,
+    high: systems.HighLevel,
+    chosen: dict[str, mazes.Maze],
+    sigma: float,
+) -> dict[str, Float[np.ndarray, "2 E"]]:
+    """Returns success and discounted success of every episode, by maze."""
+    robot = robots.load(ORACLE_ROBOT)
+    walking = subgoals.Walking(base.CELL, sigma, postures.for_robot(robot))
+    env = systems.oracle(robot, mazes.stack(list(chosen.values())), high.view, walking=walking)
+    return _values(options, env, high, chosen, options.episodes, f"oracle, sigma {sigma:g}")
+
+
+def _walking_values(
+    options: gap_config.ValueGapConfig,
+    high: systems.HighLevel,
+    chosen: dict[str, mazes.Maze],
+    name: str,
+) -> dict[str, Float[np.ndarray, "2 E"]]:
+    robot = robots.load(name)
+    stacked = mazes.stack(list(chosen.values()))
+    engine = engine_lib.make(robot, "mujoco")
+    env = systems.full(engine, stacked, high.view, systems.load_low(name, robot))
+    return _values(options, env, high, chosen, options.walking_episodes, f"{name}, walking")
+
+
+def _values(
+    options: gap_config.ValueGapConfig,
+    env: rollouts.Traced,
+    high: systems.HighLevel,
+    chosen: dict[str, mazes.Maze],
+    num_episodes: int,
+    title: str,
+) -> dict[str, Float[np.ndarray, "2 E"]]:
+    plan = rollouts.Plan(mazes=chosen, seeds=(options.seed,), num_episodes=num_episodes)
+    with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
+        found, _ = rollouts.run(env, high.policy, plan, progress)
+    values = {}
+    for name, rollout in found.items():
+        success = (np.asarray(rollout.episodes.achieved) > 0).astype(float)
+        decisions = np.asarray(rollout.episodes.decisions)
+        values[name] = np.stack([success, success * options.gamma ** (decisions - 1)])
+    return values
+
+
+def _gaps(
+    options: gap_config.ValueGapConfig,
+    chosen: dict[str, mazes.Maze],
+    movement: str,
+    sigma: float | None,
+    baseline: dict[str, Float[np.ndarray, "2 E"]],
+    found: dict[str, Float[np.ndarray, "2 F"]],
+    delta: float,
+) -> list[Gap]:
+    """Compares one movement with the reference in every maze; oracle episodes are paired."""
+    gaps = []
+    for name, values in found.items():
+        means = baseline[name].mean(1) - values.mean(1)
+        if sigma is not None:
+            variance = (baseline[name] - values).var(1) / values.shape[1]
+        else:
+            variance = sum(each.var(1) / each.shape[1] for each in (baseline[name], values))
+        margins = 1.96 * np.sqrt(variance)
+        limit = int(chosen[name].num_decisions)
+        gaps.append(
+            Gap(
+                maze=name,
+                movement=movement,
+                sigma=sigma,
+                success=float(values[0].mean()),
+                success_gap=float(means[0]),
+                success_margin=float(margins[0]),
+                success_bound=float(displacement.success_gap_bound(delta, limit)),
+                value_gap=float(means[1]),
+                value_margin=float(margins[1]),
+                value_bound=float(bounds.value_gap_bound(delta, 1, options.gamma, value_span=1.0)),
+                total_variation=delta,
+            )
+        )
+    return gaps
+
+
+def _write(options: gap_config.ValueGapConfig, gaps: list[Gap]) -> None:
+    """Writes numbers, table and picture."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    about = {"reference": options.reference, "gamma": options.gamma}
+    document = about | {"gaps": [vars(gap) for gap in gaps], "versions": versions.describe()}
+    (options.out / "gap.json").write_text(json.dumps(document, indent=2) + "\n")
+    (options.out / "gap.md").write_text(markdown(gaps))
+    oracle = [gap for gap in gaps if gap.sigma is not None]
+    axes = curves.new_axes("standard deviation per axis, units", "lost success, percentage points")
+    axes.xaxis.set_major_formatter(matplotlib.ticker.ScalarFormatter())
+    for i, maze in enumerate(options.mazes):
+        here = sorted((g for g in oracle if g.maze == maze), key=lambda gap: gap.sigma or 0.0)
+        axes.errorbar(
+            [gap.sigma or 0.0 for gap in here],
+            [100.0 * gap.success_gap for gap in here],
+            yerr=[100.0 * gap.success_margin for gap in here],
+            color=palette.CURVE[i % len(palette.CURVE)],
+            marker="o",
+            capsize=3.0,
+            label=f"measured, {maze}",
+        )
+    limit = max(int(mazes.load(name).num_decisions) for name in options.mazes)
+    sigmas = np.linspace(0.01, max(1.0, 2 * options.reference), 991)
+    rate = bounds.gaussian_scale_total_variation(sigmas, options.reference)
+    bound = 100.0 * displacement.success_gap_bound(rate, limit)
+    axes.plot(sigmas, bound, color=palette.INK, label=f"bound, {limit} decisions")
+    axes.legend(frameon=False, labelcolor=palette.INK, loc="center right")
+    curves.write(axes, options.out / "gap.png")
+
+
+def markdown(gaps: list[Gap]) -> str:
+    """Returns the gaps as a Markdown table, in percentage points, with 95 % intervals.
+
+    A bound that allows everything is called vacuous.
+    """
+    header = ["maze", "movement", "success %", "lost success", "bound", "lost value", "bound"]
+    lines = [header, ["---"] * len(header)]
+    for gap in gaps:
+        how = "walking" if gap.sigma is None else f"sigma {gap.sigma:g}"
+        lines.append(
+            [
+                gap.maze,
+                f"{gap.movement}, {how}",
+                f"{100.0 * gap.success:.1f}",
+                f"{100.0 * gap.success_gap:.1f} ± {100.0 * gap.success_margin:.1f}",
+                _percent(gap.success_bound),
+                f"{100.0 * gap.value_gap:.1f} ± {100.0 * gap.value_margin:.1f}",
+                _percent(gap.value_bound),
+            ]
+        )
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def _percent(bound: float) -> str:
+    return "vacuous" if bound > 0.99 else f"{100.0 * bound:.1f}"
