@@ -45,12 +45,15 @@ class LowReward:
       lateral_weight: price of a unit of sideways drift against a unit of progress; 0 in eq. 1.
       beyond_cell: what progress beyond one cell pays, against progress before: 1 in eq. 1, 0 for
         nothing, -1 where going too far costs as much as going back.
+      is_paced: the point beyond which progress pays `beyond_cell` moves steadily from the start to
+        one cell ahead in the subgoal's time, so that hurrying gains nothing.
       fall_cost: what a fall costs besides the end of the episode; 0 in eq. 1.
     """
 
     scale: float = 3.0
     lateral_weight: float = 0.0
     beyond_cell: float = 1.0
+    is_paced: bool = False
     fall_cost: float = 0.0
 
     def __post_init__(self) -> None:
@@ -118,6 +121,8 @@ class LowConfig:
       seed: of every random number of the run.
       run: run folder, made by the run.
       resume: continue the run that the folder holds.
+      start_from: run folder of the same robot, input, networks, capacity and number of
+        environments, with whose learner and memory this run begins; none: it begins anew.
       robot: which robot learns to walk.
       engine: "mujoco" for the C engine on the processor, "mjx" for JAX on an accelerator.
       num_envs: robots that walk at the same time.
@@ -144,6 +149,7 @@ class LowConfig:
     seed: int = 0
     run: pathlib.Path = pathlib.Path("runs/low")
     resume: bool = False
+    start_from: pathlib.Path | None = None
     robot: str = "ant"
     engine: Literal["mujoco", "mjx"] = "mujoco"
     num_envs: int = 1

@@ -73,9 +73,11 @@ def is_fallen(qpos: Float[Array, " nq"], robot: robot_lib.Robot) -> Bool[Array, 
 def reward(
     displacement_xy: Float[Array, "2"],
     step_xy: Float[Array, "2"],
+    time_left: Float[Array, ""],
     direction: Int[Array, ""],
     terminated: Bool[Array, ""],
     options: low_config.LowReward,
+    steps_per_subgoal: int,
 ) -> Float[Array, ""]:
     """Computes the intrinsic reward of one control step.
 
@@ -85,21 +87,25 @@ def reward(
     Args:
       displacement_xy: float32 [2], movement since the subgoal was given, before the step, units.
       step_xy: float32 [2], the step's movement, units.
+      time_left: float32, fraction of the subgoal's steps that was left before the step.
       direction: int32, the subgoal that was to be followed.
       terminated: the step ended in a fall or a breakdown.
       options: scale, prices of drift and falls, and whether a full cell is enough.
+      steps_per_subgoal: control steps per subgoal.
 
     Source: paper, eq. 1.
     Differs from the paper: drift, stop and falls are options, off in preset `paper`.
     """
 
-    def potential(xy: Float[Array, "2"]) -> Float[Array, ""]:
+    def potential(xy: Float[Array, "2"], left: Float[Array, ""]) -> Float[Array, ""]:
         along, lateral = rotations.to_direction_frame(xy, direction)
-        beyond = jnp.maximum(along - base.CELL, 0.0)
+        enough = base.CELL * (1.0 - left) if options.is_paced else base.CELL
+        beyond = jnp.maximum(along - enough, 0.0)
         along += (options.beyond_cell - 1.0) * beyond
         return along - options.lateral_weight * jnp.abs(lateral)
 
-    gain = potential(displacement_xy + step_xy) - potential(displacement_xy)
+    after = potential(displacement_xy + step_xy, time_left - 1.0 / steps_per_subgoal)
+    gain = after - potential(displacement_xy, time_left)
     return options.scale * gain - options.fall_cost * terminated.astype(jnp.float32)
 
 
@@ -166,9 +172,11 @@ def transition(
         reward=reward(
             obs.displacement_xy,
             experience.step_xy,
+            obs.time_left,
             obs.direction,
             experience.terminated,
             reward_options,
+            robot.steps_per_subgoal,
         ),
         discount=gamma * (1.0 - experience.terminated.astype(jnp.float32)),
         next_obs=low_obs.features(experience.next_obs, robot, input_options),
@@ -268,7 +276,13 @@ class Locomotion:
         obs = self._observe(new_walk)
         step_xy = physics.qpos[:2] - before_xy
         gain = reward(
-            before_xy - walk.subgoal_xy, step_xy, walk.direction, terminated, self._reward_options
+            before_xy - walk.subgoal_xy,
+            step_xy,
+            state.obs.time_left,
+            walk.direction,
+            terminated,
+            self._reward_options,
+            self.robot.steps_per_subgoal,
         )
         switched = (is_switch & ~terminated).astype(jnp.float32)
         return base.EnvState(

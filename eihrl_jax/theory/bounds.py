@@ -317,7 +317,7 @@ def gaussian_scale_total_variation(std_a: Numbers, std_b: Numbers) -> Any:
     xp = arguments.namespace(first, second)
     small, large = xp.minimum(first, second), xp.maximum(first, second)
     ratio = small / large
-    apart = (1.0 - ratio) * (1.0 + ratio)  # 1 - a without cancellation
+    apart = (large - small) / large * (1.0 + ratio)  # 1 - a without cancellation
     near = xp.where(apart < 0.5, apart, 0.5)
     log_a = xp.where(apart < 0.5, xp.log1p(-near), 2.0 * xp.log(ratio))
     power = xp.exp(ratio**2 / xp.where(apart > 0.0, apart, 1.0) * log_a)
@@ -390,9 +390,7 @@ def rayleigh_quantile(level: Numbers, std: Numbers, *, segments: Any = 1) -> Any
     log_each = xp.log(some) / num
     likely = xp.where(log_each > -1.0, log_each, -1.0)  # two forms, each exact where it is used
     unlikely = xp.where(log_each > -1.0, -1.0, log_each)
-    outside = xp.where(
-        log_each > -1.0, xp.log(-xp.expm1(likely)), xp.log1p(-xp.exp(unlikely))
-    )
+    outside = xp.where(log_each > -1.0, xp.log(-xp.expm1(likely)), xp.log1p(-xp.exp(unlikely)))
     return xp.where(probability > 0.0, scale * xp.sqrt(-2.0 * outside), 0.0)
 
 

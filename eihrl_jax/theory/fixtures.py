@@ -54,7 +54,8 @@ def disjoint_uniform(num: int) -> Problem:
     """Returns an MDP in which every maximum norm is 1 / num and yet all is lost (CE2).
 
     From state 0, action 0 leads to any of `num` states that pay 1 for ever, action 1 to any of
-    `num` others that pay nothing. The flat policy takes action 0, the hierarchy action 1.
+    `num` others that pay nothing. The flat policy takes action 0, the hierarchy action 1; from then
+    on they do the same.
 
     Raises:
       TypeError, ValueError: `num` is no integer, or below 1.
@@ -134,9 +135,9 @@ def random_mdps(
 
 
 def _opposite(transition: np.ndarray, reward: np.ndarray) -> Problem:
-    """Returns a problem with a flat policy of action 0 and one subgoal of action 1."""
-    size = reward.shape[0]
-    return _problem(transition, reward, [[1, 0]] * size, [[[0, 1]] * size], [[1]] * size)
+    """Returns a problem with a flat policy of action 0, from which one subgoal parts in state 0."""
+    keep = [[1, 0]] * reward.shape[0]
+    return _problem(transition, reward, keep, [[[0, 1], *keep[1:]]], [[1]] * len(keep))
 
 
 def _problem(*arrays: Any) -> Problem:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from eihrl_jax.theory import arguments, bounds, tabular
 
-PerMdp = Float[np.ndarray, "..."] | np.float64
+PerMdp = Float[np.ndarray, "..."] | float
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Training the low level: walk, store, learn, measure, checkpoint (paper, Sec. 3.2)."""
 
 import functools
+import pathlib
 from collections.abc import Callable
 from typing import Any
 
@@ -14,8 +15,8 @@ from eihrl_jax.agents import droq
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import locomotion, low_obs, rooms, wrappers
 from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.training import checkpoint, run_folder, subgoals, versions
 from eihrl_jax.training import progress as progress_lib
-from eihrl_jax.training import run_folder, subgoals, versions
 
 
 class LowState(struct.PyTreeNode):
@@ -240,6 +241,10 @@ def train(config: low_config.LowConfig) -> None:
       base.UserError: an option or the run folder is not as it should be.
     """
     trainer = LowTrainer(config)
+    if config.start_from is not None and not any(
+        (config.start_from / run_folder.CHECKPOINTS).glob("[0-9]*")
+    ):
+        raise base.UserError(f"start_from = {config.start_from} holds no checkpoint")
     with run_folder.RunFolder.create(
         config.run, config, resume=config.resume, may_change={"num_iterations"}
     ) as run:
@@ -252,7 +257,9 @@ def train(config: low_config.LowConfig) -> None:
             title, config.num_iterations * config.num_envs, done=done * config.num_envs
         ) as progress:
             advance, measure = _compile(trainer, state, progress)
-            if restored is None:
+            if restored is None and config.start_from is not None:
+                state = _start_from(config.start_from, state)
+            elif restored is None:
                 progress.print(f"{title}: filling the memory with random steps ...")
                 state = jax.jit(trainer.warm_up, donate_argnums=0)(state)
             else:
@@ -276,6 +283,18 @@ def train(config: low_config.LowConfig) -> None:
                 if done % config.checkpoint_every == 0 or is_last:
                     run.save(done, state)
         _finish(trainer, run, state, measure_key, posture_key)
+
+
+def _start_from(path: pathlib.Path, fresh: LowState) -> LowState:
+    """Returns the last state of another run, with the random numbers of this one.
+
+    Raises:
+      base.UserError: its checkpoint is damaged, or of another structure.
+    """
+    found = checkpoint.restore(path / run_folder.CHECKPOINTS, fresh)
+    if found is None:
+        raise base.UserError(f"start_from = {path} holds no checkpoint")
+    return found[1].replace(key=fresh.key, iteration=fresh.iteration)
 
 
 def _compile(

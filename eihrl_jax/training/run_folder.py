@@ -25,6 +25,9 @@ import tensorboardX
 from eihrl_jax import base, config
 from eihrl_jax.training import checkpoint, versions
 
+CHECKPOINTS = "checkpoints"
+"""Name of the folder of a run's checkpoints."""
+
 _LOCK = ".lock"
 _CONFIG = "config.json"
 _METRICS = "metrics.csv"
@@ -103,7 +106,7 @@ class RunFolder:
 
     def save(self, step: int, state: Any) -> None:
         """Writes a checkpoint; call it after `log` of the same step."""
-        checkpoint.save(self.path / "checkpoints", step, state)
+        checkpoint.save(self.path / CHECKPOINTS, step, state)
 
     def restore(self, template: Any) -> tuple[int, Any] | None:
         """Reads the last checkpoint and drops the metrics that were logged after it.
@@ -117,7 +120,7 @@ class RunFolder:
         Raises:
           UserError: the checkpoint is damaged or holds another structure.
         """
-        restored = checkpoint.restore(self.path / "checkpoints", template)
+        restored = checkpoint.restore(self.path / CHECKPOINTS, template)
         step = -1 if restored is None else restored[0]
         if jax.process_index() == 0:
             self._columns = _drop_rows_after(self.path / _METRICS, step)

@@ -45,25 +45,47 @@ def test_plain_reward_is_equation_1(direction):
         found = locomotion.reward(
             jnp.float32(before),
             jnp.float32(step),
+            jnp.float32(0.5),
             jnp.int32(direction),
             jnp.array(False),
             low_config.LowReward(),
+            25,
         )
         np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_reward_is_zero_and_smooth_at_rest():
     slope = jax.grad(locomotion.reward, argnums=1)(
-        jnp.zeros(2), jnp.zeros(2), jnp.int32(0), jnp.array(False), low_config.LowReward()
+        jnp.zeros(2),
+        jnp.zeros(2),
+        jnp.float32(1.0),
+        jnp.int32(0),
+        jnp.array(False),
+        low_config.LowReward(),
+        25,
     )
     np.testing.assert_allclose(slope, [3.0, 0.0])
 
 
-def _pay(before, step, fell=False, **options):
-    """Reward of a step towards y+."""
+def _pay(before, step, fell=False, time_left=1.0, **options):
+    """Reward of a step towards y+, with four steps per subgoal."""
     options = low_config.LowReward(scale=1.0, **options)
-    before, step = jnp.array(before), jnp.array(step)
-    return float(locomotion.reward(before, step, jnp.int32(2), jnp.array(fell), options))
+    before, step, left = jnp.array(before), jnp.array(step), jnp.float32(time_left)
+    return float(locomotion.reward(before, step, left, jnp.int32(2), jnp.array(fell), options, 4))
+
+
+@pytest.mark.parametrize(
+    ("before", "step", "time_left", "expected"),
+    [
+        (0.0, 0.75, 1.0, 0.75),  # in step with the point that moves 3 units in 4 steps
+        (0.0, 2.0, 1.0, 0.75 - 1.25),  # 1.25 ahead of it
+        (2.0, 0.0, 0.5, 1.0),  # it catches up with a robot that waits half a unit ahead
+        (0.0, 0.5, 0.25, 0.5),  # far behind, all progress counts
+    ],
+)
+def test_paced_reward_pays_no_hurry(before, step, time_left, expected):
+    options = {"beyond_cell": -1.0, "is_paced": True, "time_left": time_left}
+    assert _pay([0.0, before], [0.0, step], **options) == pytest.approx(expected)
 
 
 def test_drift_costs_and_coming_back_pays_it_back():

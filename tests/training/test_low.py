@@ -64,6 +64,26 @@ def test_resuming_changes_nothing(whole_run, tmp_path):
     assert files[0] == files[1]
 
 
+def test_starting_from_another_run_goes_on_learning(whole_run, tmp_path):
+    """Under another reward: the learner's count and the memory go on, the iterations begin anew."""
+    reward = low_config.LowReward(is_paced=True, beyond_cell=-1.0)
+    config = _config(tmp_path / "second", start_from=whole_run.run, reward=reward)
+    low.train(config)
+    template = jax.eval_shape(low.LowTrainer(config).init, jax.random.key(0))
+    step, state = checkpoint.restore(config.run / "checkpoints", template)
+    assert (step, int(state.iteration), int(state.learner.num_updates)) == (12, 12, 48)
+    assert int(state.memory.size) == 8 * (4 + 12 + 12)
+
+
+def test_start_that_does_not_fit_is_refused(whole_run, tmp_path):
+    with pytest.raises(base.UserError, match="holds no checkpoint"):
+        low.train(_config(tmp_path / "first", start_from=tmp_path))
+    assert not (tmp_path / "first").exists()
+    droq = dataclasses.replace(whole_run.droq, hidden=(8, 8))
+    with pytest.raises(base.UserError, match="Dense_0"):
+        low.train(_config(tmp_path / "second", start_from=whole_run.run, droq=droq))
+
+
 def test_other_options_are_refused_on_resume(whole_run):
     other = dataclasses.replace(whole_run, resume=True, seed=1)
     with pytest.raises(base.UserError, match="seed = 0 and can't go on with 1"):
@@ -73,7 +93,8 @@ def test_other_options_are_refused_on_resume(whole_run):
 @pytest.mark.parametrize("preset", presets.LOW.values(), ids=lambda preset: preset.preset)
 def test_presets_build(preset):
     trainer = low.LowTrainer(dataclasses.replace(preset, num_rooms=min(preset.num_rooms, 2)))
-    assert trainer.num_features == {"best": 30, "paper": 35, "point": 5}[preset.preset]
+    sizes = {"best": 30, "paper": 35, "point": 5, "swimmer": 12, "humanoid": 48}
+    assert trainer.num_features == sizes[preset.preset]
 
 
 @pytest.mark.parametrize(
