@@ -72,7 +72,8 @@ def low_swimmer() -> low_config.LowConfig:
 def low_humanoid() -> low_config.LowConfig:
     """`best` for the humanoid, which must learn not to fall before it learns to walk.
 
-    It is paid for keeping pace: paid for hurrying, it runs past the goal and falls.
+    It is paid for keeping pace: paid for hurrying, it runs past the goal and falls. The actor is
+    averaged over many updates, because from one to the next it gains and loses its balance.
     """
     best = low_best()
     return dataclasses.replace(
@@ -83,6 +84,7 @@ def low_humanoid() -> low_config.LowConfig:
         capacity=1_280_000,
         episode_steps=1_000,
         reward=dataclasses.replace(best.reward, fall_cost=20.0, is_paced=True),
+        droq=dataclasses.replace(best.droq, average_rate=0.0005),
         checkpoint_every=5_000,
     )
 

@@ -40,7 +40,7 @@ def draw(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, title: str = "") ->
     axes.imshow(image, extent=extent(maze), interpolation="nearest")
     add_marks(axes, maze, start_colour=palette.INK)
     centre_xy = np.asarray(maze_lib.goal_centres(maze))
-    for number in range(1, int(goal.max()) + 1):
+    for number in np.unique(goal[goal > 0]):
         x, y = centre_xy[number - 1]
         axes.text(x, y, str(number), ha="center", va="center", color=palette.INK, weight="bold")
     axes.set_xlabel("x, units", color=palette.INK)

@@ -130,14 +130,9 @@ def optimal_value_gap_bound(
 
     Source: replaces the paper's Theorem A.4; Theorem 2 of docs/theory.md.
     """
-    options: dict[str, Any] = {
-        "reward_span": reward_span,
-        "value_span": value_span,
-        "segment_reward": segment_reward,
-    }
-    span = segments.value_span(k, gamma, **options)
-    total = value_gap_bound(imitation, k, gamma, **options)
-    total = total + value_gap_bound(perturbation, k, gamma, **options)
+    span = segments.value_span(k, gamma, reward_span, value_span, segment_reward)
+    total = value_gap_bound(imitation, k, gamma, value_span=span)
+    total = total + value_gap_bound(perturbation, k, gamma, value_span=span)
     return arguments.namespace(total, span).minimum(total, span)
 
 
@@ -388,8 +383,8 @@ def rayleigh_quantile(level: Numbers, std: Numbers, *, segments: Any = 1) -> Any
     xp = arguments.namespace(probability, scale, num)
     some = xp.where(probability > 0.0, probability, 0.5)
     log_each = xp.log(some) / num
-    likely = xp.where(log_each > -1.0, log_each, -1.0)  # two forms, each exact where it is used
-    unlikely = xp.where(log_each > -1.0, -1.0, log_each)
+    likely, unlikely = xp.maximum(log_each, -1.0), xp.minimum(log_each, -1.0)
+    # Two forms, each exact where it is used.
     outside = xp.where(log_each > -1.0, xp.log(-xp.expm1(likely)), xp.log1p(-xp.exp(unlikely)))
     return xp.where(probability > 0.0, scale * xp.sqrt(-2.0 * outside), 0.0)
 
