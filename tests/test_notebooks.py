@@ -1,0 +1,111 @@
+"""Every notebook runs in its fast mode, defines nothing of its own, and is kept without outputs."""
+
+import ast
+import os
+import pathlib
+
+import nbclient
+import nbformat
+import pytest
+
+ROOT = pathlib.Path(__file__).parents[1]
+NOTEBOOKS = sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
+CELL_SECONDS = 300
+MAX_BYTES = 100_000
+
+every_notebook = pytest.mark.parametrize("name", NOTEBOOKS)
+
+
+def read(name):
+    notebook = nbformat.read(ROOT / "notebooks" / name, as_version=4)
+    nbformat.validate(notebook)
+    return notebook
+
+
+def code_cells(notebook):
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def definitions(source):
+    """What a cell defines: functions, classes, and lambdas that are given a name."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            found.append(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign | ast.NamedExpr):
+            has_lambda = node.value and any(isinstance(n, ast.Lambda) for n in ast.walk(node.value))
+            found += ["lambda"] if has_lambda else []
+    return found
+
+
+def private_names(source):
+    """Names with a leading underscore that a cell takes from elsewhere."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute):
+            found.append(node.attr)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found += [word for alias in node.names for word in alias.name.split(".")]
+            found += (getattr(node, "module", None) or "").split(".")
+    return [name for name in found if name.startswith("_")]
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS
+
+
+@every_notebook
+def test_nothing_is_defined_and_nothing_private_is_used(name):
+    for number, cell in enumerate(code_cells(read(name)), 1):
+        assert not definitions(cell.source), f"{name}: code cell {number}"
+        assert not private_names(cell.source), f"{name}: code cell {number}"
+
+
+@every_notebook
+def test_is_kept_without_outputs(name):
+    for number, cell in enumerate(code_cells(read(name)), 1):
+        assert not cell.outputs, f"{name}: code cell {number}"
+        assert cell.execution_count is None, f"{name}: code cell {number}"
+    assert (ROOT / "notebooks" / name).stat().st_size < MAX_BYTES
+
+
+@every_notebook
+def test_runs(name):
+    # The kernel gets the environment alone, so the strict settings of these tests don't hold in it.
+    client = nbclient.NotebookClient(
+        read(name),
+        timeout=CELL_SECONDS,
+        kernel_name="python3",
+        resources={"metadata": {"path": str(ROOT / "notebooks")}},
+    )
+    client.execute(env=os.environ | {"EIHRL_FAST": "1", "JAX_PLATFORMS": "cpu"})
+    assert all(cell.execution_count for cell in code_cells(client.nb))
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("def f(): ...", ["f"]),
+        ("if True:\n    class A: ...", ["A"]),
+        ("f = lambda x: x", ["lambda"]),
+        ("f = [lambda x: x]", ["lambda"]),
+        ("x: int", []),
+        ("sorted(xs, key=lambda x: -x)", []),
+    ],
+)
+def test_definitions_are_seen(source, found):
+    assert definitions(source) == found
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("a._b", ["_b"]),
+        ("from a import _b", ["_b"]),
+        ("import a._b", ["_b"]),
+        ("from a._b import c", ["_b"]),
+        ("for _ in range(3): a.b", []),
+    ],
+)
+def test_private_names_are_seen(source, found):
+    assert private_names(source) == found
