@@ -78,7 +78,7 @@ class RunFolder:
             raise base.UserError(f"{path} holds no run to resume: it has no {_CONFIG}")
         text = config.to_json(options)
         if holds_something:
-            _check_same_options(path / _CONFIG, text, {"run", "resume", *may_change})
+            _check_same_options(path / _CONFIG, options, {"run", "resume", *may_change})
         path.mkdir(parents=True, exist_ok=True)
         run = cls(path, _take_lock(path))
         if not holds_something:
@@ -183,12 +183,16 @@ def _holds_something(path: pathlib.Path) -> bool:
     return any(name != _LOCK and not name.startswith(_TEMPORARY) for name in names)
 
 
-def _check_same_options(file: pathlib.Path, text: str, may_change: Collection[str]) -> None:
+def _check_same_options(file: pathlib.Path, options: Any, may_change: Collection[str]) -> None:
+    """Checks a run's options; those that are newer than the run count as left at their defaults."""
+    text = file.read_text()
     try:
-        old = json.loads(file.read_text())
+        json.loads(text)
     except ValueError:
         raise base.UserError(f"{file} is damaged: no JSON") from None
-    for name, value, old_value in _differences(json.loads(text), old, ""):
+    old = config.from_json(type(options), text, source=str(file))
+    pair = (json.loads(config.to_json(each)) for each in (options, old))
+    for name, value, old_value in _differences(*pair, ""):
         if name not in may_change:
             started = f"{file.parent} was started with {name} = {old_value!r}"
             raise base.UserError(f"{started} and can't go on with {value!r}")

@@ -175,3 +175,15 @@ def test_damaged_config_is_named(tmp_path):
     (tmp_path / "run" / "config.json").write_text("{")
     with pytest.raises(base.UserError, match=r"config.json is damaged"):
         create(tmp_path / "run", resume=True)
+
+
+def test_option_that_is_newer_than_the_run_counts_as_left_alone(tmp_path):
+    """A run of an earlier version goes on; but not with another value of the new option."""
+    create(tmp_path / "run").close()
+    file = tmp_path / "run" / "config.json"
+    options = json.loads(file.read_text())
+    del options["network"]
+    file.write_text(json.dumps(options))
+    create(tmp_path / "run", resume=True).close()
+    with pytest.raises(base.UserError, match=r"network.widths = \[256, 256\]"):
+        create(tmp_path / "run", resume=True, network=Network(widths=(8,)))
