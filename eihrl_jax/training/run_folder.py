@@ -191,8 +191,8 @@ def _check_same_options(file: pathlib.Path, options: Any, may_change: Collection
     except ValueError:
         raise base.UserError(f"{file} is damaged: no JSON") from None
     old = config.from_json(type(options), text, source=str(file))
-    pair = (json.loads(config.to_json(each)) for each in (options, old))
-    for name, value, old_value in _differences(*pair, ""):
+    new, old = (json.loads(config.to_json(each)) for each in (options, old))
+    for name, value, old_value in _differences(new, old, ""):
         if name not in may_change:
             started = f"{file.parent} was started with {name} = {old_value!r}"
             raise base.UserError(f"{started} and can't go on with {value!r}")
