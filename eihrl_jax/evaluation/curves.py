@@ -102,7 +102,7 @@ def save_spread(
       y_label: what the vertical axis is, with its unit.
     """
     axes = new_axes(x_label, y_label)
-    lines = itertools.product(("-", "--"), palette.CURVE)
+    lines = itertools.product(("-", "--", ":"), palette.CURVE)
     for (label, curves), (style, colour) in zip(groups.items(), itertools.cycle(lines)):
         length = min(map(len, curves))
         x, y = curves[0][:length, 0], np.stack([curve[:length, 1] for curve in curves])
