@@ -73,19 +73,29 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
         if int(maze.num_goals) != 1:
             raise base.UserError(f"mazes: {name!r} has {int(maze.num_goals)} goals, must have 1")
     high = systems.load_high(options.high)
+    stacked = mazes.stack(list(chosen.values()))
+
+    def move(sigma: float) -> dict[str, Float[np.ndarray, "2 E"]]:
+        env = _oracle(stacked, high, sigma)
+        return _values(options, env, high, chosen, options.episodes, f"oracle, sigma {sigma:g}")
+
+    def walk(name: str) -> dict[str, Float[np.ndarray, "2 E"]]:
+        env = _walking(stacked, high, name)
+        return _values(options, env, high, chosen, options.walking_episodes, f"{name}, walking")
+
     reference = _oracle_law(options.reference)
-    baseline = _oracle_values(options, high, chosen, options.reference)
+    baseline = move(options.reference)
     gaps: list[Gap] = []
     for sigma in options.sigmas:
-        found = _oracle_values(options, high, chosen, sigma)
+        found = move(sigma)
         # Without noise the law is a point, which no density comes near.
         delta = displacement.total_variation(_oracle_law(sigma), reference) if sigma else 1.0
         gaps += _gaps(options, chosen, "oracle", sigma, baseline, found, delta)
     for name in options.robots:
-        found = _walking_values(options, high, chosen, name)
+        found = walk(name)
         delta = displacement.total_variation(shipped_law(name), reference)
         gaps += _gaps(options, chosen, name, None, baseline, found, delta)
-    _write(options, gaps)
+    _write(options, chosen, gaps)
     return gaps
 
 
@@ -95,8 +105,8 @@ def shipped_law(robot: str) -> displacement.Displacement:
     Raises:
       base.UserError: the robot has none.
     """
-    path = policies.find(robot, "low")
-    found = json.loads((path / "meta.json").read_text())["statistics"]
+    _, meta = policies.load(policies.find(robot, "low"), kind="low", robot=robot)
+    found = meta["statistics"]
     return displacement.Displacement.of(
         found["along_mean"], found["along_std"], found["lateral_mean"], found["lateral_std"]
     )
@@ -106,30 +116,18 @@ def _oracle_law(sigma: float) -> displacement.Displacement:
     return displacement.Displacement.of(base.CELL, max(sigma, 1e-12))
 
 
-def _oracle_values(
-    options: gap_config.ValueGapConfig,
-    high: systems.HighLevel,
-    chosen: dict[str, mazes.Maze],
-    sigma: float,
-) -> dict[str, Float[np.ndarray, "2 E"]]:
-    """Returns success and discounted success of every episode, by maze."""
+def _oracle(stacked: mazes.Maze, high: systems.HighLevel, sigma: float) -> rollouts.Traced:
+    """Returns oracle movement with one noise level."""
     robot = robots.load(ORACLE_ROBOT)
     walking = subgoals.Walking(base.CELL, sigma, postures.for_robot(robot))
-    env = systems.oracle(robot, mazes.stack(list(chosen.values())), high.view, walking=walking)
-    return _values(options, env, high, chosen, options.episodes, f"oracle, sigma {sigma:g}")
+    return systems.oracle(robot, stacked, high.view, walking=walking)
 
 
-def _walking_values(
-    options: gap_config.ValueGapConfig,
-    high: systems.HighLevel,
-    chosen: dict[str, mazes.Maze],
-    name: str,
-) -> dict[str, Float[np.ndarray, "2 E"]]:
+def _walking(stacked: mazes.Maze, high: systems.HighLevel, name: str) -> rollouts.Traced:
+    """Returns a robot that walks with its shipped low level."""
     robot = robots.load(name)
-    stacked = mazes.stack(list(chosen.values()))
     engine = engine_lib.make(robot, "mujoco")
-    env = systems.full(engine, stacked, high.view, systems.load_low(name, robot))
-    return _values(options, env, high, chosen, options.walking_episodes, f"{name}, walking")
+    return systems.full(engine, stacked, high.view, systems.load_low(name, robot))
 
 
 def _values(
@@ -140,6 +138,7 @@ def _values(
     num_episodes: int,
     title: str,
 ) -> dict[str, Float[np.ndarray, "2 E"]]:
+    """Returns success and discounted success of every episode, by maze."""
     plan = rollouts.Plan(mazes=chosen, seeds=(options.seed,), num_episodes=num_episodes)
     with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
         found, _ = rollouts.run(env, high.policy, plan, progress)
@@ -188,7 +187,9 @@ def _gaps(
     return gaps
 
 
-def _write(options: gap_config.ValueGapConfig, gaps: list[Gap]) -> None:
+def _write(
+    options: gap_config.ValueGapConfig, chosen: dict[str, mazes.Maze], gaps: list[Gap]
+) -> None:
     """Writes numbers, table and picture."""
     options.out.mkdir(parents=True, exist_ok=True)
     about = {"reference": options.reference, "gamma": options.gamma}
@@ -198,7 +199,7 @@ def _write(options: gap_config.ValueGapConfig, gaps: list[Gap]) -> None:
     oracle = [gap for gap in gaps if gap.sigma is not None]
     axes = curves.new_axes("standard deviation per axis, units", "lost success, percentage points")
     axes.xaxis.set_major_formatter(matplotlib.ticker.ScalarFormatter())
-    for i, maze in enumerate(options.mazes):
+    for i, maze in enumerate(chosen):
         here = sorted((g for g in oracle if g.maze == maze), key=lambda gap: gap.sigma or 0.0)
         axes.errorbar(
             [gap.sigma or 0.0 for gap in here],
@@ -209,7 +210,7 @@ def _write(options: gap_config.ValueGapConfig, gaps: list[Gap]) -> None:
             capsize=3.0,
             label=f"measured, {maze}",
         )
-    limit = max(int(mazes.load(name).num_decisions) for name in options.mazes)
+    limit = max(int(maze.num_decisions) for maze in chosen.values())
     sigmas = np.linspace(0.01, max(1.0, 2 * options.reference), 991)
     rate = bounds.gaussian_scale_total_variation(sigmas, options.reference)
     bound = 100.0 * displacement.success_gap_bound(rate, limit)

@@ -124,16 +124,6 @@ def scalar_count(name: str, value: Any) -> int:
     return number
 
 
-def one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
-    """Checks that a word is one of the known ones.
-
-    Raises:
-      ValueError: it isn't.
-    """
-    if value not in choices:
-        raise ValueError(f"{name} = {value!r} must be one of {', '.join(choices)}")
-
-
 def probabilities(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
     """Returns an array whose last axis holds probabilities, in float64 and summing to 1 exactly.
 

@@ -10,6 +10,7 @@ functions can be jitted and differentiated, and have the precision of their argu
 
 from typing import Any, Literal
 
+from eihrl_jax.config import checks
 from eihrl_jax.theory import arguments, segments
 
 Numbers = arguments.Numbers
@@ -56,7 +57,7 @@ def value_gap_bound(
     """
     delta = arguments.real("total_variation", total_variation, high=1.0)
     span = segments.value_span(k, gamma, reward_span, value_span, segment_reward)
-    arguments.one_of("form", form, ("sharp", "linear"))
+    checks.one_of("form", form, ("sharp", "linear"))
     lost = segments.lost(k, gamma)
     return span * delta / (lost + (1.0 - lost) * delta if form == "sharp" else lost)
 
@@ -391,7 +392,7 @@ def rayleigh_quantile(level: Numbers, std: Numbers, *, segments: Any = 1) -> Any
 
 def _published(nu: Any, k: Any, gamma: Numbers, r_max: Any, variant: Variant) -> Any:
     """Eq. 9 ("printed") or eq. 24 ("derived")."""
-    arguments.one_of("variant", variant, ("printed", "derived"))
+    checks.one_of("variant", variant, ("printed", "derived"))
     lost, num = segments.lost(k, gamma), arguments.count("k", k)
     if variant == "derived":
         return nu * num * r_max / (2.0 * lost**2)

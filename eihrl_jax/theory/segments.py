@@ -2,6 +2,7 @@
 
 from typing import Any, Literal
 
+from eihrl_jax.config import checks
 from eihrl_jax.theory import arguments
 
 SegmentReward = Literal["discounted", "undiscounted"]
@@ -26,7 +27,7 @@ def value_span(
     segment_reward: SegmentReward,
 ) -> Any:
     """Returns H: `value_span` if it is given, else that of rewards with a span of `reward_span`."""
-    arguments.one_of("segment_reward", segment_reward, ("discounted", "undiscounted"))
+    checks.one_of("segment_reward", segment_reward, ("discounted", "undiscounted"))
     if value_span is not None:
         return arguments.real("value_span", value_span)
     span = arguments.real("reward_span", reward_span)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from eihrl_jax.config import checks
 from eihrl_jax.theory import arguments, segments
 
 Matrix = Float[np.ndarray, "... S S"]
@@ -104,8 +105,7 @@ def policy_value(transition: Any, reward: Any, flat: Any, gamma: float) -> Vecto
     Raises:
       ValueError: an argument has a wrong shape or value.
     """
-    kernel, one_reward = k_step_model(transition, reward, flat, 1, gamma)
-    return _solve(kernel, one_reward, gamma)
+    return segment_value(transition, reward, flat, 1, gamma)
 
 
 def segment_value(
@@ -218,7 +218,7 @@ def _repeat(
     kernel: Matrix, one_reward: Vector, k: int, gamma: float, segment_reward: str
 ) -> tuple[Matrix, Vector]:
     """Returns the kernel's k-th power, and the rewards of k steps."""
-    arguments.one_of("segment_reward", segment_reward, ("discounted", "undiscounted"))
+    checks.one_of("segment_reward", segment_reward, ("discounted", "undiscounted"))
     discount = gamma if segment_reward == "discounted" else 1.0
     power, rewards = kernel, one_reward
     for _ in range(k - 1):

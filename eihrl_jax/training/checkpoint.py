@@ -54,6 +54,11 @@ def save(folder: pathlib.Path, step: int, state: Any, *, keep: int = KEEP) -> pa
     return path
 
 
+def is_any(folder: pathlib.Path) -> bool:
+    """Tells whether a run's folder of checkpoints holds one."""
+    return bool(_steps(folder))
+
+
 def restore(folder: pathlib.Path, template: Any) -> tuple[int, Any] | None:
     """Reads the last complete checkpoint of a run.
 

@@ -241,8 +241,8 @@ def train(config: low_config.LowConfig) -> None:
       base.UserError: an option or the run folder is not as it should be.
     """
     trainer = LowTrainer(config)
-    if config.start_from is not None and not any(
-        (config.start_from / run_folder.CHECKPOINTS).glob("[0-9]*")
+    if config.start_from is not None and not checkpoint.is_any(
+        config.start_from / run_folder.CHECKPOINTS
     ):
         raise base.UserError(f"start_from = {config.start_from} holds no checkpoint")
     with run_folder.RunFolder.create(
@@ -292,8 +292,7 @@ def _start_from(path: pathlib.Path, fresh: LowState) -> LowState:
       base.UserError: its checkpoint is damaged, or of another structure.
     """
     found = checkpoint.restore(path / run_folder.CHECKPOINTS, fresh)
-    if found is None:
-        raise base.UserError(f"start_from = {path} holds no checkpoint")
+    assert found is not None  # `train` has looked
     return found[1].replace(key=fresh.key, iteration=fresh.iteration)
 
 

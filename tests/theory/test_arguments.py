@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from eihrl_jax.config import checks
 from eihrl_jax.theory import arguments, bounds, fixtures, mismatch, tabular
 
 CHAIN = fixtures.keep_or_fall(0.1)
@@ -122,7 +123,7 @@ def test_a_wrong_type_is_named(call, message):
 
 def test_an_unknown_word_is_answered_with_the_known_ones():
     with pytest.raises(ValueError, match="form = 'round' must be one of sharp, linear"):
-        arguments.one_of("form", "round", ("sharp", "linear"))
+        checks.one_of("form", "round", ("sharp", "linear"))
 
 
 def test_what_is_traced_has_no_value_to_check():
