@@ -73,18 +73,19 @@ def low_humanoid() -> low_config.LowConfig:
     """`best` for the humanoid, which must learn not to fall before it learns to walk.
 
     It is paid for keeping pace: paid for hurrying, it runs past the goal and falls. The actor is
-    averaged over many updates, because from one to the next it gains and loses its balance.
+    averaged over many updates, because from one to the next it gains and loses its balance, and the
+    learning rate falls.
     """
     best = low_best()
     return dataclasses.replace(
         best,
         preset="humanoid",
         robot="humanoid",
-        num_iterations=50_000,
+        num_iterations=75_000,
         capacity=1_280_000,
         episode_steps=1_000,
         reward=dataclasses.replace(best.reward, fall_cost=20.0, is_paced=True),
-        droq=dataclasses.replace(best.droq, average_rate=0.0005),
+        droq=dataclasses.replace(best.droq, average_rate=0.0005, learning_rate_half_life=150_000),
         checkpoint_every=5_000,
     )
 

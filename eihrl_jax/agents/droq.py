@@ -141,7 +141,7 @@ class Droq:
             return jnp.square(values - target[None]).mean(-1).sum(), values.mean()
 
         (loss, value), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.critic_params)
-        updates, opt_state = self._step(grads, state.critic_opt_state)
+        updates, opt_state = self._step(grads, state.critic_opt_state, state.num_updates)
         critic_params = optax.apply_updates(state.critic_params, updates)
         state = state.replace(
             critic_params=critic_params,
@@ -166,10 +166,12 @@ class Droq:
             return (temperature * log_prob - values.mean(0)).mean(), -log_prob.mean()
 
         (loss, entropy), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.actor_params)
-        updates, actor_opt_state = self._step(grads, state.actor_opt_state)
+        updates, actor_opt_state = self._step(grads, state.actor_opt_state, state.num_updates)
         # d/d(log alpha) of log_alpha * (entropy - target_entropy), as in the authors' code.
         temperature_grad = entropy - self.options.target_entropy * self._num_actions
-        step, temperature_opt_state = self._step(temperature_grad, state.temperature_opt_state)
+        step, temperature_opt_state = self._step(
+            temperature_grad, state.temperature_opt_state, state.num_updates
+        )
         actor_params = optax.apply_updates(state.actor_params, updates)
         state = state.replace(
             actor_params=actor_params,
@@ -182,10 +184,17 @@ class Droq:
         )
         return state, {"actor_loss": loss, "entropy": entropy}
 
-    def _step(self, grads: Any, opt_state: optax.OptState) -> tuple[Any, optax.OptState]:
-        """Returns Adam's updates; Optax takes integer powers of floats, barred in strict mode."""
-        with jax.numpy_dtype_promotion("standard"):
-            return self._optimizer.update(grads, opt_state)
+    def _step(
+        self, grads: Any, opt_state: optax.OptState, num_updates: Int[Array, ""]
+    ) -> tuple[Any, optax.OptState]:
+        """Returns Adam's updates at the learning rate of this moment."""
+        with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
+            updates, opt_state = self._optimizer.update(grads, opt_state)
+        if self.options.learning_rate_half_life is None:
+            return updates, opt_state
+        # Adam's updates are proportional to the rate, so its state needs no schedule.
+        share = jnp.exp2(-num_updates.astype(jnp.float32) / self.options.learning_rate_half_life)
+        return jax.tree.map(lambda update: share * update, updates), opt_state
 
     def _target(
         self, state: DroqState, batch: base.Transition, key: Key[Array, ""]

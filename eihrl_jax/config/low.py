@@ -72,7 +72,9 @@ class Droq:
       hidden: widths of the hidden layers of all networks, even numbers.
       num_critics: size M of the ensemble.
       dropout: probability with which a critic's hidden unit is dropped.
-      learning_rate: of Adam for actor, critics and temperature.
+      learning_rate: of Adam for actor, critics and temperature, at the start.
+      learning_rate_half_life: critic updates in which the learning rate halves, however long the
+        run; none: it stays.
       target_rate: tau of the moving average that the target critics are.
       average_rate: of the moving average of the actor, per update of it; 1: the actor itself.
       target_entropy: what the temperature steers the policy's entropy to, nats per action
@@ -87,6 +89,7 @@ class Droq:
     num_critics: int = 2
     dropout: float = 0.01
     learning_rate: float = 3e-4
+    learning_rate_half_life: int | None = None
     target_rate: float = 0.005
     average_rate: float = 1.0
     target_entropy: float = -0.5
@@ -103,6 +106,9 @@ class Droq:
         checks.in_range("num_critics", self.num_critics, 1, 100)
         checks.in_range("dropout", self.dropout, 0.0, below=1.0)
         checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
+        if self.learning_rate_half_life is not None:
+            half_life = self.learning_rate_half_life
+            checks.in_range("learning_rate_half_life", half_life, 1, 2**31 - 1)
         checks.in_range("target_rate", self.target_rate, above=0.0, high=1.0)
         checks.in_range("average_rate", self.average_rate, above=0.0, high=1.0)
         checks.in_range("target_entropy", self.target_entropy, -10.0, 10.0)

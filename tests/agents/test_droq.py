@@ -102,6 +102,27 @@ def test_actor_moves_every_period_and_targets_trail():
     assert is_same == [True, True, False]
 
 
+def test_learning_rate_halves_with_the_updates():
+    constant = _learner(actor_period=1)
+    falling = _learner(actor_period=1, learning_rate_half_life=4)
+    before = constant.init(jax.random.key(0)).replace(num_updates=jnp.int32(8))
+    batch = _batch(jax.random.key(1), lambda obs, action: obs[:, 0], 0.9)
+    critic_key, actor_key = jax.random.split(jax.random.key(2))
+    for update, key, name in (
+        ("update_critic", critic_key, "critic_params"),
+        ("update_actor", actor_key, "actor_params"),
+        ("update_actor", actor_key, "log_temperature"),
+    ):
+        (whole, _), (part, _) = (
+            getattr(learner, update)(before, batch, key) for learner in (constant, falling)
+        )
+        start, whole, part = (jax.tree.leaves(getattr(x, name)) for x in (before, whole, part))
+        for at_start, after_whole, after_part in zip(start, whole, part, strict=True):
+            expected = at_start + 0.25 * (after_whole - at_start)
+            np.testing.assert_allclose(after_part, expected, atol=1e-6)
+        assert max(float(jnp.abs(a - b).max()) for a, b in zip(start, whole, strict=True)) > 1e-3
+
+
 def test_average_of_the_actor_trails_it():
     learner = _learner(actor_period=1, average_rate=0.25)
     state = learner.init(jax.random.key(0))
