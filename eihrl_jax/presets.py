@@ -20,8 +20,7 @@ def low_best() -> low_config.LowConfig:
 
     The world is turned into the direction's frame and the robot renamed to face it; the robot knows
     how far it has come and how much time is left, is paid for coming nearer to the point one cell
-    ahead, and half of its rooms have inner walls. Half of the steps that it learns from are looked
-    at as if a new subgoal had just been given. Many robots walk at once.
+    ahead, and half of its rooms have inner walls. Many robots walk at once.
     """
     return low_config.LowConfig(
         preset="best",
@@ -30,7 +29,6 @@ def low_best() -> low_config.LowConfig:
         warmup_iterations=200,
         updates_per_iteration=8,
         capacity=640_000,
-        relabel="restart",
         relabel_share=0.5,
         num_rooms=256,
         low_input=low_config.LowInput(frame="canonical", use_progress=True, velocity_scale=0.1),
@@ -42,13 +40,18 @@ def low_best() -> low_config.LowConfig:
     )
 
 
+def low_restarting() -> low_config.LowConfig:
+    """`best`, where half of the steps are looked at as if a new subgoal had just been given."""
+    return dataclasses.replace(low_best(), relabel="restart")
+
+
 def low_point() -> low_config.LowConfig:
-    """`best` for the point robot, which needs a minute on one core, and open floor alone.
+    """`low_restarting` for the point robot, which needs a minute on one core, and open floor alone.
 
     A point that is held by walls, which it doesn't see, takes precision from the values.
     """
     return dataclasses.replace(
-        low_best(),
+        low_restarting(),
         preset="point",
         robot="point",
         num_iterations=2_000,
@@ -59,9 +62,9 @@ def low_point() -> low_config.LowConfig:
 
 
 def low_swimmer() -> low_config.LowConfig:
-    """`best` for the swimmer, which is slow to turn and needs more practice."""
+    """`low_restarting` for the swimmer, which is slow to turn and needs more practice."""
     return dataclasses.replace(
-        low_best(),
+        low_restarting(),
         preset="swimmer",
         robot="swimmer",
         num_iterations=15_000,
@@ -70,13 +73,13 @@ def low_swimmer() -> low_config.LowConfig:
 
 
 def low_humanoid() -> low_config.LowConfig:
-    """`best` for the humanoid, which must learn not to fall before it learns to walk.
+    """`low_restarting` for the humanoid, which must learn not to fall before it learns to walk.
 
     It is paid for keeping pace: paid for hurrying, it runs past the goal and falls. The actor is
     averaged over many updates, because from one to the next it gains and loses its balance, and the
     learning rate falls.
     """
-    best = low_best()
+    best = low_restarting()
     return dataclasses.replace(
         best,
         preset="humanoid",

@@ -40,12 +40,12 @@ def _run(**options: object) -> Change:
 
 
 VARIANTS: dict[str, Change] = {
-    "best": lambda best: best,
+    "restarted steps": lambda restarting: restarting,
+    "best: no relabelling": _run(relabel="never"),
     "direction frame": _input(frame="direction"),
     "world frame": _input(frame="world"),
     "no progress": _input(use_progress=False),
     "velocities unscaled": _input(velocity_scale=1.0),
-    "no relabelling": _run(relabel="never"),
     "relabelled direction": _run(relabel="direction", relabel_share=1.0),
     "reward of eq. 1": _reward(lateral_weight=0.0, beyond_cell=1.0),
     "actor not averaged": _droq(average_rate=1.0),
@@ -53,14 +53,16 @@ VARIANTS: dict[str, Change] = {
     "falls end nothing": _run(ends_at_fall=False),
     "no inner walls": _run(num_rooms=0),
 }
-"""What is changed in preset `best`, one thing at a time, by name."""
+"""What is changed in `presets.low_restarting`, one thing at a time, by name."""
 
 MEASURED = ("along_mean", "along_std", "lateral_mean", "lateral_std", "falls")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AblationConfig:
-    """Trains preset `best` with one option changed at a time, and compares.
+    """Trains with one option changed at a time, and compares.
+
+    What is changed is preset `best` with restarted steps, which it had before this comparison.
 
     Runs that the folder already holds are continued or taken as they are. Writes table.md and
     curves.png from all variants that are there.
@@ -157,15 +159,19 @@ def _spread(values: list[float]) -> str:
 
 
 def _options(config: AblationConfig, name: str, seed: int) -> low_config.LowConfig:
-    best = dataclasses.replace(
-        presets.low_best(),
+    restarting = dataclasses.replace(
+        presets.low_restarting(),
         robot=config.robot,
         num_iterations=config.num_iterations,
         seed=seed,
-        run=config.out / name.replace(" ", "-").replace(".", "") / f"seed-{seed}",
+        run=config.out / _folder(name) / f"seed-{seed}",
         resume=True,
     )
-    return VARIANTS[name](best)
+    return VARIANTS[name](restarting)
+
+
+def _folder(name: str) -> str:
+    return name.replace(" ", "-").replace(".", "").replace(":", "")
 
 
 def _check_same(options: low_config.LowConfig) -> None:

@@ -15,7 +15,7 @@ def _finished(config, name, seed, *rows):
     folder = config.out / name.replace(" ", "-") / f"seed-{seed}"
     (folder / "policy").mkdir(parents=True)
     best = dataclasses.replace(
-        presets.low_best(),
+        presets.low_restarting(),
         num_iterations=config.num_iterations,
         seed=seed,
         run=folder,
@@ -27,40 +27,41 @@ def _finished(config, name, seed, *rows):
 
 
 def test_finished_runs_are_compared(tmp_path):
-    config = ablate_low.AblationConfig(out=tmp_path, seeds=(0, 1), variants=("best",))
-    _finished(config, "best", 0, "500,1.0,0.3,0.0,0.4,9", "1000,3.0,0.3,0.0,0.4,2")
-    _finished(config, "best", 1, "500,1.0,0.3,0.0,0.4,9", "1000,2.0,0.0,0.0,0.0,4")
+    config = ablate_low.AblationConfig(out=tmp_path, seeds=(0, 1), variants=("restarted steps",))
+    _finished(config, "restarted steps", 0, "500,1.0,0.3,0.0,0.4,9", "1000,3.0,0.3,0.0,0.4,2")
+    _finished(config, "restarted steps", 1, "500,1.0,0.3,0.0,0.4,9", "1000,2.0,0.0,0.0,0.0,4")
     _finished(config, "world frame", 0, "500,0.0,0.0,0.0,0.0,0")
     ablate_low.main(config)
     lines = (tmp_path / "table.md").read_text().splitlines()
     # sqrt(0.3² + 0.4²) = 0.5 in one run, 1 in the other.
     assert lines[2] == (
-        "| best | 2 | 0.75 ± 0.35 | 2.50 ± 0.71 | 0.15 ± 0.21 | 0.20 ± 0.28 | 3.00 ± 1.41 |"
+        "| restarted steps | 2 | 0.75 ± 0.35 | 2.50 ± 0.71 "
+        "| 0.15 ± 0.21 | 0.20 ± 0.28 | 3.00 ± 1.41 |"
     )
     assert lines[3] == "| world frame | 1 | 3.00 | 0.00 | 0.00 | 0.00 | 0.00 |"
     assert (tmp_path / "curves.png").stat().st_size > 10_000
-    curve = ablate_low.error_curve(tmp_path / "best" / "seed-0" / "metrics.csv")
+    curve = ablate_low.error_curve(tmp_path / "restarted-steps" / "seed-0" / "metrics.csv")
     assert curve[:, 0].tolist() == [4000.0, 8000.0]
 
 
 def test_runs_of_another_budget_are_not_mixed_in(tmp_path):
-    config = ablate_low.AblationConfig(out=tmp_path, seeds=(0,), variants=("best",))
-    _finished(config, "best", 0, "500,1.0,0.3,0.0,0.4,9")
+    config = ablate_low.AblationConfig(out=tmp_path, seeds=(0,), variants=("restarted steps",))
+    _finished(config, "restarted steps", 0, "500,1.0,0.3,0.0,0.4,9")
     with pytest.raises(base.UserError, match="was trained with other options"):
         ablate_low.main(dataclasses.replace(config, num_iterations=500))
 
 
-def test_every_variant_but_best_changes_the_preset():
-    best = presets.low_best()
+def test_every_variant_but_the_first_changes_something_and_one_is_the_preset():
+    restarting = presets.low_restarting()
     for name, change in ablate_low.VARIANTS.items():
-        assert (change(best) == best) == (name == "best")
-        dataclasses.asdict(change(best))
+        assert (change(restarting) == restarting) == (name == "restarted steps")
+        assert (change(restarting) == presets.low_best()) == name.startswith("best")
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"variants": ("worse",)}, "variants = 'worse' must be one of best, "),
+        ({"variants": ("worse",)}, "variants = 'worse' must be one of restarted steps, "),
         ({"variants": ()}, "must name at least one"),
         ({"seeds": (1, 1)}, "names one more than once"),
         ({"num_iterations": 750}, "evaluate_every = 500 must divide num_iterations = 750"),
