@@ -4,6 +4,9 @@ The patch is centred on the torso with north up: row 0 has the largest y, column
 A pixel is wall or goal if its centre is. The silhouette is drawn so that no part of the robot is
 too thin to be seen, see `footprint`.
 
+A view may show a map instead: one pixel per cell, of all that has been in sight since the episode
+began (ours, not the paper's).
+
 A patch is drawn thousands of times per decision of the learner, so cells and silhouettes are packed
 into the bits of integers: one word per pixel row, one mask per pixel column, and a pixel is `word &
 mask`. On CPU this is several times as fast as looking up the cell of every pixel.
@@ -26,6 +29,9 @@ MIN_EXTENT, MAX_EXTENT = base.CELL, 15 * base.CELL
 MIN_PIXELS, MAX_PIXELS = 3, 128
 """Limits of a view's side, in pixels."""
 
+MAX_MAP_RADIUS = 32
+"""Greatest number of cells that a map shows to every side."""
+
 _WORD = 32
 _GOAL_SHIFT = 16
 
@@ -37,6 +43,8 @@ class View:
     Attributes:
       extent: side in units, 3 to 45.
       pixels: side in pixels, 3 to 128.
+      map_radius: cells to every side of the robot's on the map that is shown instead of the square,
+        up to 32; 0: no map.
 
     Raises:
       base.UserError: out of these limits.
@@ -44,11 +52,25 @@ class View:
 
     extent: float = 9.0
     pixels: int = 15
+    map_radius: int = 0
 
     def __post_init__(self) -> None:
         """Checks the limits."""
+        checks.in_range("view map_radius", self.map_radius, 0, MAX_MAP_RADIUS)
         checks.in_range("view extent", self.extent, MIN_EXTENT, MAX_EXTENT)
         checks.in_range("view pixels", self.pixels, MIN_PIXELS, MAX_PIXELS)
+
+    @property
+    def obs_shape(self) -> tuple[int, int, int]:
+        """Shape of what the high level gets: a patch, or a map with one channel more."""
+        if self.map_radius > 0:
+            return 2 * self.map_radius + 1, 2 * self.map_radius + 1, 4
+        return self.pixels, self.pixels, 3
+
+    @property
+    def margin(self) -> int:
+        """Cells around a grid that looking at it needs."""
+        return max(1, self.map_radius)
 
     @property
     def pitch(self) -> float:
@@ -166,6 +188,45 @@ def patch(
     """
     codes = maze_lib.code_at(maze_lib.codes(maze), *window(xy, view))
     return draw(codes, xy, visited, pack(silhouette, view), view)
+
+
+def in_sight(
+    shape: tuple[int, int], margin: int, xy: Float[Array, "2"], view: View
+) -> Bool[Array, "H W"]:
+    """Tells which cells of a grid the square at `xy` touches.
+
+    Args:
+      shape: of the grid, its margin included.
+      margin: rows and columns that the grid has before the maze's first.
+      xy: the torso's position, units.
+      view: whose `extent` is looked at.
+    """
+    centre, reach = jnp.stack([-xy[1], xy[0]]), view.extent / 2
+    first = jnp.floor((centre - reach) / base.CELL).astype(jnp.int32)
+    end = jnp.ceil((centre + reach) / base.CELL).astype(jnp.int32)
+    i, j = (jnp.arange(size) - margin for size in shape)
+    is_row, is_column = (i >= first[0]) & (i < end[0]), (j >= first[1]) & (j < end[1])
+    return is_row[:, None] & is_column[None]
+
+
+def draw_map(
+    codes: UInt8[Array, "n n"], seen: Bool[Array, "n n"], visited: Bool[Array, "9"]
+) -> Bool[Array, "n n 4"]:
+    """Draws the map: one pixel per cell, the robot's cell in the middle, north up.
+
+    Args:
+      codes: codes (see `mazes.maze.codes`) of the cells.
+      seen: cells that have been in sight.
+      visited: goals that have been paid; they are no longer drawn.
+
+    Returns:
+      Channels wall, unvisited goal, robot, and what hasn't been seen.
+    """
+    unvisited = _pack_bits(~visited) << 1
+    is_goal = ((unvisited >> (codes % maze_lib.WALL).astype(jnp.uint32)) & 1).astype(bool)
+    robot = np.zeros(codes.shape, bool)
+    robot[codes.shape[0] // 2, codes.shape[1] // 2] = True
+    return jnp.stack([seen & (codes == maze_lib.WALL), seen & is_goal, robot, ~seen], -1)
 
 
 def _pixel_cells(xy: Float[Array, "2"], view: View) -> tuple[Int[Array, "P"], Int[Array, "P"]]:

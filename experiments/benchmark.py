@@ -3,20 +3,15 @@
 import dataclasses
 import json
 import pathlib
-import statistics
 from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
 from eihrl_jax.training import parallel, versions
 from experiments import _bench_high, _bench_low, _bench_physics, _cli
 
 Part = Literal[
     "speed",
-    "phantom_walls",
-    "learning",
-    "wide_view",
     "interface",
     "maze_cost",
     "engines",
@@ -33,19 +28,15 @@ class BenchmarkConfig:
     Run it on a machine that does nothing else; the figures stand beside the machine's name.
 
     Attributes:
-      parts: what to measure; default: everything but updates, which needs sbx-rl installed; about
-        30 minutes on two cores.
-      num_seeds: training runs of each kind in parts phantom_walls, learning and wide_view.
+      parts: what to measure; default: everything but updates, which needs sbx-rl installed.
       out: folder of the results, must be new.
     """
 
     parts: tuple[Part, ...] = tuple(part for part in get_args(Part) if part != "updates")
-    num_seeds: int = 5
     out: pathlib.Path = pathlib.Path("runs/benchmark")
 
     def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("num_seeds", self.num_seeds, 1, 100)
+        """Checks that there is something to do."""
         if not self.parts:
             raise base.UserError(
                 f"parts is empty; name at least one of {', '.join(get_args(Part))}"
@@ -68,16 +59,8 @@ def main(config: BenchmarkConfig) -> None:
 
 
 def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
-    def learn(name: str, is_wide: bool) -> Any:
-        return _bench_high.train_and_test(config.out / name, config.num_seeds, is_wide=is_wide)
-
     return {
         "speed": _bench_high.decisions_per_second,
-        "phantom_walls": lambda: _bench_high.choose_phantom_walls(
-            config.out / "phantom_walls", config.num_seeds
-        ),
-        "learning": lambda: learn("learning", False),
-        "wide_view": lambda: learn("wide_view", True),
         "interface": _bench_physics.interface_ratio,
         "maze_cost": lambda: {
             # A step of MJX takes fifty times as long on a processor.
@@ -100,17 +83,10 @@ def markdown(found: dict[str, Any]) -> str:
 def _rows(part: str, result: Any) -> list[str]:
     if part == "speed":
         return [
-            "| decisions per second, environment and learning, 9-unit view | "
-            f"{result['median']:,.0f} (median), {result['fastest']:,.0f} (fastest) |"
+            f"| decisions per second, environment and learning, {kind} | "
+            f"{rates['median']:,.0f} (median), {rates['fastest']:,.0f} (fastest) |"
+            for kind, rates in result.items()
         ]
-    if part == "phantom_walls":
-        return [
-            f"| 64 generated rooms, phantom walls with probability {row['probability']} | "
-            f"{_spread(row['success'])} |"
-            for row in result
-        ]
-    if part in ("learning", "wide_view"):
-        return _learning_rows("15" if part == "wide_view" else "9", result)
     if part == "interface":
         return [
             "| C engine behind the interface against `mujoco.batch` alone, 1024 ants | "
@@ -145,26 +121,6 @@ def _engines_row(row: dict[str, Any]) -> str:
     where = "at walls" if row["walls"] else "on open floor"
     numbers = ", ".join(f"{name} {row[name]:.0e}" for name in ("median", "p90", "max"))
     return f"| MJX against MuJoCo C, 50 control steps {where}, {row['comparison']} | {numbers} |"
-
-
-def _learning_rows(view: str, runs: list[dict[str, Any]]) -> list[str]:
-    seconds = [run["seconds"] for run in runs]
-    rows = [
-        f"| training, {view}-unit view, past compilation, {len(runs)} seeds | "
-        f"{min(seconds):.0f} to {max(seconds):.0f} s |"
-    ]
-    for maze in runs[0]["success"]:
-        spread = _spread([run["success"][maze] for run in runs])
-        rows.append(f"| oracle success in `{maze}`, {view}-unit view | {spread} |")
-    return rows
-
-
-def _spread(rates: list[float]) -> str:
-    """Writes mean, standard deviation and each of some success rates in percent."""
-    percent = [100 * rate for rate in rates]
-    spread = statistics.stdev(percent) if len(percent) > 1 else 0.0
-    each = ", ".join(f"{rate:.1f}" for rate in percent)
-    return f"{statistics.mean(percent):.1f} ± {spread:.1f} % ({each})"
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ class EvaluateConfig:
         postures take the place of step, sigma and the shipped postures.
       engine: physics engine of full movement.
       animate: an animation of one maze, of all, or of none.
+      heatmaps: draw where the robot was, one picture per maze and system.
     """
 
     mazes: tuple[str, ...] = ("random", "g1", "g2", "g3")
@@ -52,6 +53,7 @@ class EvaluateConfig:
     measured: pathlib.Path | None = None
     engine: Literal["mujoco", "mjx"] = "mujoco"
     animate: Literal["one", "all", "none"] = "one"
+    heatmaps: bool = True
 
     def __post_init__(self) -> None:
         """Checks ranges, and that nothing is asked for twice."""

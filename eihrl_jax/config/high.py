@@ -8,6 +8,7 @@ import dataclasses
 import pathlib
 from typing import Literal
 
+from eihrl_jax import base
 from eihrl_jax.config import checks
 
 
@@ -28,8 +29,11 @@ class Task:
       measured: folder of `experiments.measure_low`, whose mean displacement, standard deviation and
         postures take the place of step, sigma and the shipped postures.
       num_substeps: pieces in which a move is made, each stopped by walls.
-      phantom_walls: probability that a wall that isn't there is painted into what the policy sees
-        while it learns; not in the paper.
+      map_radius: cells to every side of the robot's on a map of all that has been in view, which
+        the high level sees in place of the view itself; not in the paper. 0: no map.
+      num_rooms: random rooms to train in instead of `maze`, another lot for every seed; 0: `maze`.
+      room_sides: least and greatest number of rows and columns inside of such a room.
+      room_walls: greatest share of inner wall in such a room.
     """
 
     maze: str = "random"
@@ -42,7 +46,10 @@ class Task:
     sigma: float = 0.3
     measured: pathlib.Path | None = None
     num_substeps: int = 6
-    phantom_walls: float = 0.0
+    map_radius: int = 0
+    num_rooms: int = 0
+    room_sides: tuple[int, int] = (5, 15)
+    room_walls: float = 0.3
 
     def __post_init__(self) -> None:
         """Checks what can be checked without loading anything."""
@@ -52,7 +59,12 @@ class Task:
         checks.in_range("step", self.step, above=0.0, high=30.0)
         checks.in_range("sigma", self.sigma, 0.0, 3.0)
         checks.in_range("num_substeps", self.num_substeps, 6, 100)
-        checks.in_range("phantom_walls", self.phantom_walls, 0.0, 1.0)
+        checks.in_range("map_radius", self.map_radius, 0, 32)
+        checks.in_range("num_rooms", self.num_rooms, 0, 100_000)
+        least, greatest = self.room_sides
+        checks.in_range("room_sides", greatest, 2, 100)
+        checks.in_range("room_sides", least, 2, greatest)
+        checks.in_range("room_walls", self.room_walls, 0.0, 0.4)
         if self.num_decisions is not None:
             checks.in_range("num_decisions", self.num_decisions, 1, 10_000)
         checks.measured_alone(self.measured, self.step, self.sigma)
@@ -60,24 +72,36 @@ class Task:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Network:
-    """Sizes of the actor-critic (paper, Figure 8 gives none).
+    """Kind and sizes of the actor-critic (paper, Figure 8 gives no sizes).
 
     Attributes:
+      kind: patch: dense layers over tiles of the view; planner: value iteration on the map.
       tile: side in pixels of the tiles that the first layer looks at; divides the view.
       tile_features: outputs of the first layer per tile.
       hidden: widths of the dense layers that follow.
+      num_iterations: of the planner, cells that values travel.
+      cell_features: of the planner, width of the layer that looks at a cell.
+      value_features: of the planner, width of the layer before the value.
     """
 
+    kind: Literal["patch", "planner"] = "patch"
     tile: int = 5
     tile_features: int = 16
     hidden: tuple[int, ...] = (128,)
+    num_iterations: int = 24
+    cell_features: int = 8
+    value_features: int = 64
 
     def __post_init__(self) -> None:
         """Checks sizes."""
+        checks.one_of("kind", self.kind, ("patch", "planner"))
         checks.in_range("tile", self.tile, 1, 256)
         checks.in_range("tile_features", self.tile_features, 1, 1024)
         for width in self.hidden:
             checks.in_range("hidden", width, 1, 4096)
+        checks.in_range("num_iterations", self.num_iterations, 0, 1000)
+        checks.in_range("cell_features", self.cell_features, 1, 1024)
+        checks.in_range("value_features", self.value_features, 1, 4096)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -177,7 +201,13 @@ class HighConfig:
         """Checks how the options fit together."""
         checks.in_range("seed", self.seed, 0, 2**32 - 1)
         checks.in_range("num_eval_episodes", self.num_eval_episodes, 1, 1_000_000)
-        checks.divides("tile", self.network.tile, "pixels", self.task.pixels)
+        if self.network.kind == "patch":
+            checks.divides("tile", self.network.tile, "pixels", self.task.pixels)
+        if (self.network.kind == "planner") != (self.task.map_radius > 0):
+            raise base.UserError(
+                f"network kind = {self.network.kind!r} doesn't fit map_radius = "
+                f"{self.task.map_radius}: the planner needs a map, and nothing else takes one"
+            )
         checks.divides("log_every", self.log_every, "num_updates", self.learner.num_updates)
         checks.divides("log_every", self.log_every, "evaluate_every", self.evaluate_every)
         checks.divides("log_every", self.log_every, "checkpoint_every", self.checkpoint_every)

@@ -4,7 +4,7 @@ A decision is `begin`, k times `control`, and `end`. What chooses the controls i
 level, which `agents.hierarchy` puts in.
 
 Observation: bool [P, P, 3], a top view centred on the torso, north up, see `raster`; the silhouette
-is that of the robot's real posture.
+is that of the robot's real posture. Or a map of what has been seen.
 Reward and end of an episode: those of `task`, along the torso's real path. A fall costs nothing and
 ends nothing (there is no reset); a simulation that breaks down terminates the episode.
 Reset: maze, door and start are drawn anew; the robot stands there, turned at random, its joints a
@@ -91,7 +91,7 @@ class PhysicsMaze:
           view: extent and resolution of the observation.
         """
         self.robot = engine.robot
-        self.course = task.prepare(mazes)
+        self.course = task.prepare(mazes, view.margin)
         self.view = view
         self._engine = engine
         self._capsules = kinematics.capsules(engine.model)
@@ -178,6 +178,7 @@ class PhysicsMaze:
     def _state(self, walk: Walk, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
         """Puts together what `reset` and `end` return."""
         xy = walk.body.physics.qpos[:2]
+        walk = walk.replace(nav=task.look(self.course, walk.nav, xy, self.view))
         start, end, radius = self._capsules(walk.body.physics.qpos)
         silhouette = raster.footprint(
             start[:, :2] - xy[None], end[:, :2] - xy[None], radius, self.view

@@ -5,7 +5,7 @@ shows the robot in a recorded posture: epsilon-Invariant Randomization. There is
 a learner can try hundreds of thousands of decisions per second.
 
 Observation: bool [P, P, 3], a top view centred on the torso, north up; channels wall, unvisited
-goal, robot (see `raster`).
+goal, robot; or a map of what has been seen (see `raster`).
 Action: int32, index of the direction in `base.DIRECTIONS_XY`.
 Reward: sparse, the number of goals entered for the first time; or dense, 1 / (1 + d), d the
 distance in units to the current goal.
@@ -113,7 +113,7 @@ class OracleMaze:
                 f"silhouettes of shape {silhouettes.shape} do not fit a view of "
                 f"{view.pixels} x {view.pixels} pixels"
             )
-        self.course = task.prepare(mazes)
+        self.course = task.prepare(mazes, view.margin)
         room = base.CELL / 2 - float(self.course.mazes.start_jitter.max())
         if movement.body_radius > room:
             raise base.UserError(
@@ -131,7 +131,7 @@ class OracleMaze:
         next_key, start_key, posture_key = jax.random.split(key, 3)
         nav, xy = task.start(self.course, start_key, maze)
         inner = Oracle(
-            nav=nav,
+            nav=task.look(self.course, nav, xy, self.view),
             xy=xy,
             posture=self._pick_posture(jax.random.uniform(posture_key)),
             total_reward=jnp.float32(0.0),
@@ -154,14 +154,14 @@ class OracleMaze:
         if self.reward == "dense":
             outcome = outcome.replace(reward=task.dense_reward(course, nav, path_xy[-1]))
         inner = Oracle(
-            nav=nav,
+            nav=task.look(course, nav, path_xy[-1], self.view),
             xy=path_xy[-1],
             posture=self._pick_posture(0.5 * (draws[2] + 1.0)),
             total_reward=inner.total_reward + outcome.reward,
         )
         return self._state(inner, outcome, next_key)
 
-    def observe(self, inner: Oracle) -> Bool[Array, "P P 3"]:
+    def observe(self, inner: Oracle) -> Bool[Array, "P P C"]:
         """Draws what the high level sees."""
         silhouette = self._silhouettes[inner.posture]
         return task.observe(self.course, inner.nav, inner.xy, silhouette, self.view)

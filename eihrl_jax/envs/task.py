@@ -8,6 +8,8 @@ Mazes are prepared once (`prepare`) so that a decision costs a few look-ups what
 episode holds the number of its maze and its open door instead of a copy of the maze.
 """
 
+from typing import cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,22 +29,24 @@ class Course(struct.PyTreeNode):
 
     Attributes:
       mazes: the mazes as they were given, with leading axis M.
-      codes: uint8 [M, R + 2, C + 2], see `mazes.maze.codes`; door candidates are wall, and so is a
-        margin of one cell, which stands for everything outside the grid.
+      codes: uint8 [M, R + 2 m, C + 2 m], see `mazes.maze.codes`; door candidates are wall, and so
+        is a margin of m cells, which stands for everything outside the grid.
       start_ij: int32 [M, S, 2], row and column of the start cells, padded to the longest list.
       door_ij: int32 [M, D, 2], the same of the door candidates; `NO_DOOR` where there is none.
       num_starts: int32 [M].
       num_doors: int32 [M], at least 1.
       goal_xy: float32 [M, 9, 2], centres of the goal regions, units; 0 for an absent goal.
+      margin: m, at least 1 and at least what a map shows to every side.
     """
 
     mazes: maze_lib.Maze
-    codes: UInt8[Array, "M R+2 C+2"]
+    codes: UInt8[Array, "M H W"]
     start_ij: Int[Array, "M S 2"]
     door_ij: Int[Array, "M D 2"]
     num_starts: Int[Array, "M"]
     num_doors: Int[Array, "M"]
     goal_xy: Float[Array, "M 9 2"]
+    margin: int = struct.field(pytree_node=False)
 
     @property
     def num_mazes(self) -> int:
@@ -58,12 +62,14 @@ class Navigation(struct.PyTreeNode):
       door_ij: int32 [2], row and column of the open door, or `NO_DOOR`.
       visited: bool [9], goals that have been paid.
       decisions: int32, decisions so far.
+      seen: bool [R + 2 m, C + 2 m], cells that have been in sight; None without a map.
     """
 
     maze: Int[Array, ""]
     door_ij: Int[Array, "2"]
     visited: Bool[Array, "9"]
     decisions: Int[Array, ""]
+    seen: Bool[Array, "H W"] | None = None
 
 
 class Outcome(struct.PyTreeNode):
@@ -80,8 +86,13 @@ class Outcome(struct.PyTreeNode):
     truncated: Bool[Array, ""]
 
 
-def prepare(mazes: maze_lib.Maze) -> Course:
-    """Prepares one maze, or several with a leading axis, for the task; host side."""
+def prepare(mazes: maze_lib.Maze, margin: int = 1) -> Course:
+    """Prepares one maze, or several with a leading axis, for the task; host side.
+
+    Args:
+      mazes: the mazes.
+      margin: rows and columns of wall around the grids, at least 1; see `raster.View.margin`.
+    """
     if mazes.wall.ndim == 2:
         mazes = jax.tree.map(lambda leaf: leaf[None], mazes)
     starts = [paths.cells(mask) for mask in np.asarray(mazes.start)]
@@ -89,13 +100,16 @@ def prepare(mazes: maze_lib.Maze) -> Course:
     return Course(
         mazes=mazes,
         codes=jnp.pad(
-            maze_lib.codes(mazes), ((0, 0), (1, 1), (1, 1)), constant_values=maze_lib.WALL
+            maze_lib.codes(mazes),
+            ((0, 0), (margin, margin), (margin, margin)),
+            constant_values=maze_lib.WALL,
         ),
         start_ij=_padded(starts),
         door_ij=_padded(doors),
         num_starts=jnp.array([len(cells) for cells in starts], jnp.int32),
         num_doors=jnp.array([len(cells) for cells in doors], jnp.int32),
         goal_xy=jax.vmap(maze_lib.goal_centres)(mazes),
+        margin=margin,
     )
 
 
@@ -176,14 +190,25 @@ def code_at(course: Course, nav: Navigation, xy: Float[Array, "*k 2"]) -> UInt8[
     return _codes(course, nav, i, j)
 
 
+def look(course: Course, nav: Navigation, xy: Float[Array, "2"], view: raster.View) -> Navigation:
+    """Adds to the map, where the view has one, what is in sight at `xy`."""
+    if view.map_radius == 0:
+        return nav
+    shape = course.codes.shape
+    here = raster.in_sight((shape[1], shape[2]), course.margin, xy, view)
+    return nav.replace(seen=here if nav.seen is None else nav.seen | here)
+
+
 def observe(
     course: Course,
     nav: Navigation,
     xy: Float[Array, "2"],
     silhouette: UInt32[Array, "P W"],
     view: raster.View,
-) -> Bool[Array, "P P 3"]:
-    """Draws what the high level sees, see `raster.draw`."""
+) -> Bool[Array, "n n C"]:
+    """Draws what the high level sees, see `raster.draw` and `raster.draw_map`."""
+    if view.map_radius > 0:
+        return raster.draw_map(*_around(course, nav, xy, view.map_radius), nav.visited)
     codes = _codes(course, nav, *raster.window(xy, view))
     return raster.draw(codes, xy, nav.visited, silhouette, view)
 
@@ -206,12 +231,26 @@ def _codes(
     """Returns the codes of cells, those outside the grid wall and the open door goal 1."""
     num_mazes, rows, columns = course.codes.shape
     # One flat index that can't be out of bounds: look-ups by several are much slower on CPU.
-    flat = jnp.clip(i + 1, 0, rows - 1) * columns + jnp.clip(j + 1, 0, columns - 1)
+    padded_i, padded_j = i + course.margin, j + course.margin
+    flat = jnp.clip(padded_i, 0, rows - 1) * columns + jnp.clip(padded_j, 0, columns - 1)
     if num_mazes > 1:
         flat += nav.maze * rows * columns
     codes = course.codes.reshape(-1).at[flat].get(mode="promise_in_bounds")
     is_door = (i == nav.door_ij[0]) & (j == nav.door_ij[1])
     return jnp.where(is_door, jnp.uint8(1), codes)
+
+
+def _around(
+    course: Course, nav: Navigation, xy: Float[Array, "2"], radius: int
+) -> tuple[UInt8[Array, "n n"], Bool[Array, "n n"]]:
+    """Returns the codes of the cells around the torso's, and which of them have been seen."""
+    size, span = 2 * radius + 1, jnp.arange(-radius, radius + 1)
+    i, j = maze_lib.cell_ij(xy)
+    corner = i + course.margin - radius, j + course.margin - radius
+    codes = jax.lax.dynamic_slice(course.codes, (nav.maze, *corner), (1, size, size))[0]
+    is_door = (i + span == nav.door_ij[0])[:, None] & (j + span == nav.door_ij[1])[None]
+    seen = jax.lax.dynamic_slice(cast(Array, nav.seen), corner, (size, size))
+    return jnp.where(is_door, jnp.uint8(1), codes), seen
 
 
 def _of(table: Array, maze: Int[Array, ""]) -> Array:

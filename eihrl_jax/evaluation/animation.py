@@ -47,7 +47,7 @@ class Recording:
       qpos: float [T, nq], the robot after each of its moves.
       decision: int [T], index of the decision during which each move was made.
       direction: int [D], subgoal of each decision.
-      patch: bool [D, P, P, 3], what the high level saw.
+      patch: bool [D, P, P, C], what the high level saw.
       is_fallen: bool [T].
     """
 
@@ -55,7 +55,7 @@ class Recording:
     qpos: Float[np.ndarray, "T nq"]
     decision: Int[np.ndarray, " T"]
     direction: Int[np.ndarray, " D"]
-    patch: Bool[np.ndarray, "D P P 3"]
+    patch: Bool[np.ndarray, "D P P C"]
     is_fallen: Bool[np.ndarray, " T"]
 
 
@@ -238,7 +238,7 @@ def _with_panel(
     return np.asarray(page)
 
 
-def _patch_picture(patch: Bool[np.ndarray, "P P 3"], side: int) -> Image.Image:
+def _patch_picture(patch: Bool[np.ndarray, "P P C"], side: int) -> Image.Image:
     """Draws a patch: walls, goals and robot in the colours of the large picture."""
     small = Image.fromarray(np.round(255 * picture.colour_patch(patch)).astype(np.uint8))
     large = small.resize((side, side), Image.Resampling.NEAREST)

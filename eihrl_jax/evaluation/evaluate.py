@@ -58,7 +58,8 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
         cells += _summarise(item.system, found, chosen)
         seconds[report.file_name(item.system)] = round(taken, 2)
         report.write_episodes(options.out, item.system, found, chosen)
-        report.draw_heatmaps(options.out, item.system, found, chosen)
+        if options.heatmaps:
+            report.draw_heatmaps(options.out, item.system, found, chosen)
         if options.animate == "all" or (options.animate == "one" and item is prepared[-1]):
             names = list(chosen) if options.animate == "all" else list(chosen)[:1]
             for name in names:

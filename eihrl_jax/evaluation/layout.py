@@ -80,7 +80,7 @@ def add_marks(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, start_colour: 
 
 def draw_patch(
     axes: matplotlib.axes.Axes,
-    patch: Bool[np.ndarray, "P P 3"],
+    patch: Bool[np.ndarray, "P P C"],
     view: raster.View,
     *,
     title: str = "",

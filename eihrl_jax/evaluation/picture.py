@@ -300,14 +300,16 @@ def finish(canvas: Float[np.ndarray, "H W 3"]) -> np.ndarray:
     return (255.0 * parts.mean(0) + 0.5).astype(np.uint8)
 
 
-def colour_patch(patch: Bool[np.ndarray, "P P 3"]) -> Float[np.ndarray, "P P 3"]:
+def colour_patch(patch: Bool[np.ndarray, "P P C"]) -> Float[np.ndarray, "P P 3"]:
     """Colours what a high level sees, in [0, 1]: walls, goals and robot as in the large picture.
 
     Args:
-      patch: channels wall, unvisited goal, robot; a later one hides an earlier one.
+      patch: channels wall, unvisited goal, robot; a later one hides an earlier one. On a map the
+        fourth is what hasn't been seen.
     """
-    wall, goal, robot = np.moveaxis(patch, -1, 0)
-    image = np.full((*wall.shape, 3), palette.rgb(palette.FLOOR))
-    for mask, colour in ((wall, palette.WALL), (goal, palette.GOAL), (robot, palette.ROBOT)):
+    channels = np.moveaxis(patch, -1, 0)
+    colours = (palette.WALL, palette.GOAL, palette.ROBOT, palette.UNSEEN)
+    image = np.full((*patch.shape[:2], 3), palette.rgb(palette.FLOOR))
+    for mask, colour in zip(channels, colours, strict=False):
         image[mask] = palette.rgb(colour)
     return image

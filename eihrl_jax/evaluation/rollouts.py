@@ -54,12 +54,12 @@ class Step(struct.PyTreeNode):
     """One decision of E episodes.
 
     Attributes:
-      obs: bool [E, P, P, 3], what the high level saw.
+      obs: bool [E, P, P, C], what the high level saw.
       action: int32 [E].
       trace: the way, with leading axis E.
     """
 
-    obs: Bool[Array, "E P P 3"]
+    obs: Bool[Array, "E P P C"]
     action: Int[Array, " E"]
     trace: hierarchy.Trace
 

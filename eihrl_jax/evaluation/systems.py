@@ -1,6 +1,7 @@
 """Puts together what is evaluated: policies from their folders, environments around them."""
 
 import dataclasses
+import json
 import pathlib
 from typing import Any
 
@@ -8,13 +9,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from eihrl_jax import base, mazes, policies, postures, raster
+from eihrl_jax import base, config, mazes, policies, postures, raster
 from eihrl_jax.agents import hierarchy, peg_a2c
 from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import low_obs, maze, oracle_maze, task
 from eihrl_jax.evaluation import rollouts
-from eihrl_jax.networks import droq, patch_actor_critic
+from eihrl_jax.networks import actor_critic, droq
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.training import subgoals
@@ -26,7 +28,7 @@ class HighLevel:
 
     Attributes:
       label: what tables call it.
-      policy: from the patch and a key to a direction.
+      policy: from what it sees and a key to a direction.
       view: what it has to see.
     """
 
@@ -90,10 +92,10 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
     path = policies.find(name, "high")
     params, meta = policies.load(path, kind="high")
     view = raster.View(**_entry(meta, "view", path))
-    sizes = _entry(meta, "network", path)
-    network = patch_actor_critic.PatchActorCritic(**sizes | {"hidden": tuple(sizes["hidden"])})
-    patch = jnp.zeros((view.pixels, view.pixels, 3), bool)
-    _check_shapes(params, jax.eval_shape(network.init, jax.random.key(0), patch), path)
+    sizes = json.dumps(_entry(meta, "network", path))
+    network = actor_critic.make(config.from_json(high_config.Network, sizes, source=str(path)))
+    obs = jnp.zeros(view.obs_shape, bool)
+    _check_shapes(params, jax.eval_shape(network.init, jax.random.key(0), obs), path)
 
     def policy(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
         return peg_a2c.act(network, params, obs, key, deterministic=greedy)

@@ -9,20 +9,11 @@ import rich.box
 import rich.table
 
 from eihrl_jax.config.evaluate import RANDOM
-from eihrl_jax.evaluation import results, statistics
+from eihrl_jax.evaluation import paper, results, statistics
 from eihrl_jax.training import subgoals
 
 TABLE1_MAZES = {"random": "Maze-ori", "g1": "Maze-g1", "g2": "Maze-g2", "g3": "Maze-g3"}
 """Our names of the mazes of the paper's Table 1, and the paper's."""
-
-PAPER_TABLE1 = {
-    "full": {"random": (51.8, 4.4), "g1": (45.6, 5.2), "g2": (27.8, 6.7), "g3": (73.6, 4.6)},
-    "oracle": {"random": (66.4, 5.4), "g1": (72.0, 6.3), "g2": (58.4, 8.3), "g3": (84.8, 6.6)},
-}
-"""Zero-shot success of the paper's method in per cent with its plus-minus, by movement."""
-
-PAPER_NAMES = {"full": "Ours", "oracle": "Ours-Oracle"}
-"""What the paper calls its method, by movement."""
 
 NOTE = (
     "Success is achieved goals / total goals, ± the standard deviation over five blocks of "
@@ -46,6 +37,12 @@ class Table:
     title: str
     header: list[str]
     rows: list[list[str]]
+
+    def markdown(self) -> str:
+        """Returns the table as Markdown, its title in bold."""
+        rule = ["---"] * len(self.header)
+        lines = [f"| {' | '.join(row)} |" for row in [self.header, rule, *self.rows]]
+        return "\n".join([f"**{self.title}**", "", *lines])
 
 
 def percent(success: statistics.Success) -> str:
@@ -101,9 +98,9 @@ def _table1(cells: Sequence[results.Cell]) -> list[Table]:
             bounds = {m: interval(success) for m, success in by_maze.items()}
             rows.append(["  95 % interval", *(bounds.get(m, "-") for m in mazes)])
             if system.robot == "ant" and high != RANDOM:
-                figures = PAPER_TABLE1[system.movement]
-                paper = [f"{figures[m][0]:.1f} ± {figures[m][1]:.1f}" for m in mazes]
-                rows.append([f"  paper, {PAPER_NAMES[system.movement]}", *paper])
+                figures = paper.TABLE1[system.movement]
+                published = [paper.percent(figures[m]) for m in mazes]
+                rows.append([f"  paper, {paper.NAMES[system.movement]}", *published])
         if rows:
             header = ["success %", *(TABLE1_MAZES[name] for name in mazes)]
             found.append(Table(f"Table 1, high level {high}", header, rows))
@@ -175,11 +172,7 @@ def _shown(table: Table) -> rich.table.Table:
 
 def markdown(cells: Sequence[results.Cell]) -> str:
     """Returns the tables of an evaluation as Markdown, with a word on the intervals."""
-    parts = [NOTE]
-    for table in _tables(cells):
-        rule = ["---"] * len(table.header)
-        lines = [f"| {' | '.join(row)} |" for row in [table.header, rule, *table.rows]]
-        parts.append("\n".join([f"**{table.title}**", "", *lines]))
+    parts = [NOTE, *(table.markdown() for table in _tables(cells))]
     return "\n\n".join(parts) + "\n"
 
 

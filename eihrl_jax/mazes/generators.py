@@ -17,6 +17,9 @@ MAX_INSIDE = parsing.MAX_SIZE - 2
 MAX_LENGTH = 6
 """Longest inner wall in cells; walls are also at most half as long as the room."""
 
+FIRST_SEED = 2**32
+"""Lowest seed of the rooms that high levels train in: those below are for tests."""
+
 MAX_WALL_SHARE = 0.4
 """Largest share of inner wall: above it too little of a room hangs together."""
 
@@ -68,6 +71,42 @@ def random_maze(
     """Draws a random room as a maze, see `random_room` and `parsing.parse`."""
     text = random_room(seed, rows, columns, wall_share=wall_share, num_doors=num_doors)
     return parsing.parse(text, name=f"room {seed}", num_decisions=num_decisions)
+
+
+def training_rooms(
+    seed: int,
+    num: int,
+    *,
+    sides: tuple[int, int],
+    wall_share: float,
+    num_decisions: int | None = None,
+) -> list[Maze]:
+    """Draws rooms of many sizes to train in, none of which `random_room` has below `FIRST_SEED`.
+
+    Args:
+      seed: of the lot; two lots have no seed of a room in common.
+      num: number of rooms, at most 2^20.
+      sides: least and greatest number of rows, and of columns, inside the outer ring.
+      wall_share: greatest share of inner wall; each room draws its own below it.
+      num_decisions: time limit of all; None: each its own, see `parsing.parse`.
+
+    Raises:
+      base.UserError: an argument out of its limits.
+    """
+    checks.in_range("num", num, 1, FIRST_SEED >> 12)
+    first = FIRST_SEED + seed * (FIRST_SEED >> 12)
+    rng = np.random.default_rng(first)
+    least, greatest = sides
+    return [
+        random_maze(
+            first + index,
+            int(rng.integers(least, greatest + 1)),
+            int(rng.integers(least, greatest + 1)),
+            wall_share=float(rng.uniform(0.0, wall_share)),
+            num_decisions=num_decisions,
+        )
+        for index in range(num)
+    ]
 
 
 def _thrown_walls(

@@ -13,8 +13,9 @@ from eihrl_jax import base, mazes, policies, postures, raster, robots
 from eihrl_jax.agents import peg_a2c
 from eihrl_jax.config import checks
 from eihrl_jax.config import high as high_config
-from eihrl_jax.envs import oracle_maze, phantoms, wrappers
-from eihrl_jax.networks import patch_actor_critic
+from eihrl_jax.envs import oracle_maze, wrappers
+from eihrl_jax.mazes import generators
+from eihrl_jax.networks import actor_critic
 from eihrl_jax.training import parallel, run_folder, subgoals, versions
 from eihrl_jax.training import progress as progress_lib
 
@@ -42,7 +43,7 @@ def train(config: high_config.HighConfig) -> float:
     """
     run_folder.check_free(config.run, resume=config.resume)  # before anything slow
     parallel.connect(config.coordinator, config.num_processes, config.process_id)
-    env = make_env(config.task)
+    env = make_env(config.task, config.seed)
     agent = make_agent(env, config)
     mesh = parallel.make_mesh(config.num_devices, config.learner.num_workers)
     with run_folder.RunFolder.create(
@@ -52,7 +53,7 @@ def train(config: high_config.HighConfig) -> float:
         restored = run.restore(state)
         done, state = (0, state) if restored is None else restored
         num_updates, per_update = config.learner.num_updates, decisions_per_update(agent)
-        title = f"{config.task.maze} high level"
+        title = f"{_title(config.task)} high level"
         with progress_lib.Progress(
             title,
             num_updates * per_update,
@@ -76,18 +77,22 @@ def train(config: high_config.HighConfig) -> float:
                 if done % config.checkpoint_every == 0 or is_last:
                     run.save(done, state)
             seconds = progress.seconds
-        _finish(config, env.movement, run, state)
+        _finish(config, env, run, state)
     return seconds
 
 
-def make_env(task: high_config.Task) -> oracle_maze.OracleMaze:
+def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
     """Builds the maze with oracle movement; it doesn't reset itself.
+
+    Args:
+      task: maze, movement and view.
+      seed: which lot of random rooms is made, where the task asks for some.
 
     Raises:
       base.UserError: the maze or the robot is unknown, or numbers don't fit together.
     """
     robot = robots.load(task.robot)
-    view = raster.View(extent=task.extent, pixels=task.pixels)
+    view = raster.View(extent=task.extent, pixels=task.pixels, map_radius=task.map_radius)
     step, sigma, bank = subgoals.walking(robot, task.measured, task.step, task.sigma)
     movement = oracle_maze.Movement(
         step=step,
@@ -96,7 +101,7 @@ def make_env(task: high_config.Task) -> oracle_maze.OracleMaze:
         body_radius=robot.body_radius,
     )
     return oracle_maze.OracleMaze(
-        mazes.load(task.maze, num_decisions=task.num_decisions),
+        _rooms(task, seed) if task.num_rooms else _maze(task),
         postures.footprints(robot, bank, view),
         view=view,
         movement=movement,
@@ -118,19 +123,11 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
         # A longer window could be cut by the time limit twice.
         checks.in_range("window", window, 1, limit)
         trained_in = wrappers.auto_reset(env, env.observe)
-    if config.task.phantom_walls > 0.0:
-        trained_in = phantoms.PhantomWalls(
-            env=trained_in, view=env.view, probability=config.task.phantom_walls
-        )
-    agent = peg_a2c.PegA2C(trained_in, make_network(config), config.learner, window or limit)
+    network = actor_critic.make(config.network)
+    agent = peg_a2c.PegA2C(trained_in, network, config.learner, window or limit)
     most = (2**31 - 1) // decisions_per_update(agent)  # Decisions are counted in 32 bits.
     checks.in_range("num_updates", config.learner.num_updates, 1, most)
     return agent
-
-
-def make_network(config: high_config.HighConfig) -> patch_actor_critic.PatchActorCritic:
-    """Builds the network; its parameters are the learner's."""
-    return patch_actor_critic.PatchActorCritic(**dataclasses.asdict(config.network))
 
 
 def decisions_per_update(agent: peg_a2c.PegA2C) -> int:
@@ -155,13 +152,35 @@ def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
     return means
 
 
+def _maze(task: high_config.Task) -> mazes.Maze:
+    return mazes.load(task.maze, num_decisions=task.num_decisions)
+
+
+def _rooms(task: high_config.Task, seed: int) -> mazes.Maze:
+    """Draws the random rooms of a run."""
+    least, greatest = task.room_sides
+    rooms = generators.training_rooms(
+        seed,
+        task.num_rooms,
+        sides=(least, greatest),
+        wall_share=task.room_walls,
+        num_decisions=task.num_decisions,
+    )
+    return mazes.stack(rooms)
+
+
+def _title(task: high_config.Task) -> str:
+    """Names what is trained in."""
+    return f"{task.num_rooms} random rooms" if task.num_rooms else task.maze
+
+
 def _compile_evaluation(
     env: oracle_maze.OracleMaze, config: high_config.HighConfig, state: peg_a2c.LearnerState
 ) -> Callable[[peg_a2c.LearnerState], dict[str, float]]:
     """Compiles the evaluation: whole episodes in the training maze, subgoals sampled."""
     whole = dataclasses.replace(config.learner, window=None)
     limit = int(env.course.mazes.num_decisions.max())
-    agent = peg_a2c.PegA2C(env, make_network(config), whole, limit)
+    agent = peg_a2c.PegA2C(env, actor_critic.make(config.network), whole, limit)
     stream = jax.random.fold_in(jax.random.key(config.seed), EVALUATION_STREAM)
 
     def measure(params, num_updates):
@@ -190,7 +209,7 @@ def _shown(row: Mapping[str, float]) -> dict[str, float]:
 
 def _finish(
     config: high_config.HighConfig,
-    movement: oracle_maze.Movement,
+    env: oracle_maze.OracleMaze,
     run: run_folder.RunFolder,
     state: peg_a2c.LearnerState,
 ) -> None:
@@ -200,11 +219,11 @@ def _finish(
         kind="high",
         params=state.params,
         meta={
-            "maze": config.task.maze,
+            "maze": _title(config.task),
             "robot": robots.load(config.task.robot).name,
-            "view": {"extent": config.task.extent, "pixels": config.task.pixels},
+            "view": dataclasses.asdict(env.view),
             "network": dataclasses.asdict(config.network),
-            "movement": {"step": movement.step, "sigma": movement.sigma},
+            "movement": {"step": env.movement.step, "sigma": env.movement.sigma},
             "config": dataclasses.asdict(config.task) | dataclasses.asdict(config.learner),
             "num_updates": int(state.num_updates),
             "num_decisions": int(state.num_decisions),

@@ -166,3 +166,64 @@ def test_pick_stays_in_range():
         last = task.pick(jnp.float32(np.nextafter(np.float32(1), np.float32(0))), jnp.int32(num))
         assert last == num - 1
         assert task.pick(jnp.float32(0.0), jnp.int32(num)) == 0
+
+
+MAP = raster.View(extent=9.0, pixels=15, map_radius=3)
+
+
+def test_the_map_shows_what_has_been_in_sight_and_nothing_else():
+    course = task.prepare(mazes.load("g1"), MAP.margin)
+    silhouette = jnp.zeros((15, 1), jnp.uint32)
+    nav = task.look(course, at(course), centre(7, 2), MAP)
+    chart = np.asarray(task.observe(course, nav, centre(7, 2), silhouette, MAP))
+    assert chart.shape == MAP.obs_shape == (7, 7, 4)
+    wall, goal, robot, unseen = np.moveaxis(chart, -1, 0)
+    assert np.argwhere(robot).tolist() == [[3, 3]]
+    # Row 7, column 2: three by three cells in sight, the outer wall in row 8.
+    expected = np.ones((7, 7), bool)
+    expected[2:5, 2:5] = False
+    np.testing.assert_array_equal(unseen, expected)
+    assert np.argwhere(wall).tolist() == [[4, 2], [4, 3], [4, 4]]
+    assert not goal.any()
+    # One cell to the north: what was seen moves down on the map and stays on it.
+    nav = task.look(course, nav, centre(6, 2), MAP)
+    wall, _, _, unseen = np.moveaxis(
+        np.asarray(task.observe(course, nav, centre(6, 2), silhouette, MAP)), -1, 0
+    )
+    assert np.argwhere(wall).tolist() == [[2, 4], [5, 2], [5, 3], [5, 4]]
+    assert not unseen[2:6, 2:5].any() and unseen.sum() == 49 - 12
+
+
+def test_a_view_off_the_middle_of_a_cell_touches_a_fourth_column():
+    shape, margin = (9 + 6, 9 + 6), 3
+    seen = raster.in_sight(shape, margin, centre(4, 4) + jnp.array([0.2, 0.0]), MAP)
+    assert np.argwhere(np.asarray(seen).any(0)).ravel().tolist() == [6, 7, 8, 9]
+    assert np.argwhere(np.asarray(seen).any(1)).ravel().tolist() == [6, 7, 8]
+
+
+def test_the_map_shows_the_open_door_until_it_is_paid_and_walls_beyond_the_grid():
+    course = task.prepare(mazes.load("random"), MAP.margin)
+    silhouette = jnp.zeros((15, 1), jnp.uint32)
+    nav = at(course, door_ij=jnp.array([1, 8]))
+    nav = task.look(course, nav, centre(1, 7), MAP)
+    chart = task.observe(course, nav, centre(1, 7), silhouette, MAP)
+    assert np.argwhere(np.asarray(chart[..., 1])).tolist() == [[3, 4]]
+    assert np.asarray(chart[..., 0]).sum() == 4  # three in the north, one beside the door
+    paid = nav.replace(visited=nav.visited.at[0].set(True))
+    assert not task.observe(course, paid, centre(1, 7), silhouette, MAP)[..., 1].any()
+    beyond = task.look(course, nav, centre(0, 8), MAP)
+    chart = np.asarray(task.observe(course, beyond, centre(0, 8), silhouette, MAP))
+    assert chart[2, 3, 0] and chart[2, 4, 0]
+
+
+def test_a_map_of_several_mazes_is_that_of_the_episode_s_maze():
+    course = task.prepare(SEVEN, MAP.margin)
+    silhouette = jnp.zeros((15, 1), jnp.uint32)
+    for maze in range(7):
+        alone = task.prepare(mazes.load(mazes.NAMES[maze]), MAP.margin)
+        for ij in ((1, 1), (7, 2), (4, 6)):
+            charts = []
+            for some, number in ((course, maze), (alone, 0)):
+                nav = task.look(some, at(some, maze=jnp.int32(number)), centre(*ij), MAP)
+                charts.append(task.observe(some, nav, centre(*ij), silhouette, MAP))
+            np.testing.assert_array_equal(*charts)

@@ -17,7 +17,7 @@ from eihrl_jax.training import high, subgoals
 
 def tiny(run, **options):
     """Returns a run of a few updates."""
-    task = high_config.Task(robot="point", phantom_walls=0.5)
+    task = high_config.Task(robot="point")
     network = high_config.Network(tile_features=2, hidden=(4,))
     learner = high_config.Learner(num_workers=8, window=12, num_updates=6, optimiser="adam")
     intervals = {"log_every": 2, "evaluate_every": 4, "num_eval_episodes": 4, "checkpoint_every": 2}
@@ -42,8 +42,8 @@ def test_run_folder_has_metrics_and_a_policy(finished):
     assert table["num_decisions"] == ["192.0", "384.0", "576.0"]
     assert table["eval/success"][0] == "" and 0.0 <= float(table["eval/success"][2]) <= 1.0
     params, meta = policies.load(policies.find(finished, "high"), kind="high")
-    assert meta["view"] == {"extent": 9.0, "pixels": 15}
-    assert meta["network"] == {"tile": 5, "tile_features": 2, "hidden": [4]}
+    assert meta["view"] == {"extent": 9.0, "pixels": 15, "map_radius": 0}
+    assert meta["network"] == json.loads(config_lib.to_json(tiny(finished).network))
     assert meta["num_updates"] == 6 and meta["num_decisions"] == 576
     assert params["params"]["logits"]["kernel"].shape == (4, 4)
 
@@ -103,9 +103,19 @@ def test_learner_that_does_not_fit_the_maze(tmp_path, options, message):
         (high_config.Learner, {"num_workers": 0}, "num_workers = 0"),
         (high_config.Learner, {"optimiser": "sgd"}, "optimiser = 'sgd'"),
         (high_config.Task, {"sigma": -0.1}, "sigma = -0.1"),
-        (high_config.Task, {"phantom_walls": 1.1}, "phantom_walls = 1.1"),
+        (high_config.Task, {"map_radius": 33}, "map_radius = 33"),
+        (
+            high_config.Task,
+            {"room_sides": (7, 6)},
+            "room_sides = 7 must be at least 2 and at most 6",
+        ),
         (high_config.HighConfig, {"log_every": 7}, "log_every = 7 must divide num_updates"),
         (high_config.HighConfig, {"network": high_config.Network(tile=4)}, "tile = 4 must divide"),
+        (
+            high_config.HighConfig,
+            {"network": high_config.Network(kind="planner")},
+            "the planner needs a map",
+        ),
     ],
 )
 def test_options_out_of_range(part, options, message):

@@ -1,0 +1,15 @@
+"""The high level's network by the kind that its options name."""
+
+import flax.linen as nn
+
+from eihrl_jax.config import high
+from eihrl_jax.networks import patch_actor_critic, planner
+
+
+def make(options: high.Network) -> nn.Module:
+    """Builds the network, which maps what the high level sees to logits and a value."""
+    if options.kind == "planner":
+        return planner.PlanningActorCritic(
+            options.num_iterations, options.cell_features, options.value_features
+        )
+    return patch_actor_critic.PatchActorCritic(options.tile, options.tile_features, options.hidden)

@@ -1,0 +1,56 @@
+"""Policy and value of the high level from a map, by planning on it (Tamar et al. 2016).
+
+Two numbers are learned per cell from the cell and those around it, what it is worth and what it
+lets through, and value iteration carries them to the robot: a direction is worth what the cell
+there is. No weight knows where on the map it is used or which way it looks, so that a corner of a
+wall means the same wherever it stands, also in a maze that training never showed.
+"""
+
+import flax.linen as nn
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from eihrl_jax.ops import planning
+
+_OPEN = 2.0
+"""Logit of the first gates: nearly 0.9, so that values travel before anything is learned."""
+
+
+class PlanningActorCritic(nn.Module):
+    """Logits of the subgoals from the values of the four cells around the robot, and a value.
+
+    The value is learned by a dense layer that sees the whole map: it serves training alone and may
+    know the maze that is trained in.
+
+    Attributes:
+      num_iterations: cells that values travel.
+      cell_features: width of the hidden layer that looks at a cell and those around it.
+      value_features: width of the hidden layer before the value.
+    """
+
+    num_iterations: int = 24
+    cell_features: int = 8
+    value_features: int = 64
+
+    @nn.compact
+    def __call__(self, chart: Bool[Array, "n n 4"]) -> tuple[Float[Array, "4"], Float[Array, ""]]:
+        """Returns the logits of the four subgoals and the value of a map, see `raster.draw_map`.
+
+        Source: Tamar et al. 2016, Sec. 4; gates per cell instead of shared transitions, and
+          features that look the same after turning and mirroring, are ours.
+        """
+        grid = jnp.moveaxis(chart, -1, 0).astype(jnp.float32)
+        east, west, north, south = planning.neighbours(grid)
+        _, _, *corners = planning.neighbours(east + west)
+        features = jnp.concatenate([grid, east + west + north + south, sum(corners)])
+        trunk_init = nn.initializers.orthogonal(2**0.5)
+        hidden = nn.Dense(self.cell_features, kernel_init=trunk_init)(jnp.moveaxis(features, 0, -1))
+        outputs = nn.Dense(2, kernel_init=nn.initializers.orthogonal(0.3))(nn.relu(hidden))
+        reward, gate = outputs[..., 0], nn.sigmoid(outputs[..., 1] + _OPEN)
+        values = planning.value_iteration(reward, gate, self.num_iterations)
+        log_scale = self.param("log_scale", nn.initializers.constant(1.5), ())
+        middle = chart.shape[0] // 2
+        logits = jnp.stack([around[middle, middle] for around in planning.neighbours(values)])
+        known = jnp.concatenate([grid.ravel(), values.ravel()])
+        value = nn.Dense(1, name="value")(nn.relu(nn.Dense(self.value_features)(known)))
+        return jnp.exp(log_scale) * logits, value[0]

@@ -1,0 +1,256 @@
+"""The parts of `experiments.report`: which evaluations each needs, and what it shows of them."""
+
+import dataclasses
+import pathlib
+from collections.abc import Callable
+
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.evaluation import comparison, curves, evaluate, page, paper, results
+from eihrl_jax.mazes import generators
+
+TABLE1 = ("random", "g1", "g2", "g3")
+TRAINED = ("u", "s", "spiral")
+ROBOTS = ("ant", "point", "swimmer", "humanoid")
+SLOW = ("swimmer", "humanoid")
+PRESETS = {"best": "ours, best", "paper": "ours, as in the paper", "generalist": "ours, generalist"}
+"""How the tables call the presets."""
+
+MOVEMENTS = {"oracle": "oracle", "full": "walking"}
+ROOM_SIDE = 9
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Runs:
+    """The high levels, and the evaluations of them that are there or are made now.
+
+    Attributes:
+      folder: holds the high levels, `<preset>-<maze>-<seed>` each.
+      out: folder of the report.
+      episodes: per maze and high level.
+      slow_episodes: the same where swimmer or humanoid walk.
+      num_rooms: generated rooms.
+    """
+
+    folder: pathlib.Path
+    out: pathlib.Path
+    episodes: int
+    slow_episodes: int
+    num_rooms: int
+
+    def highs(self, trained: str) -> tuple[str, ...]:
+        """Lists the high levels trained alike, e.g. "best-random", one per seed."""
+        return tuple(str(path) for path in sorted(self.folder.glob(f"{trained}-[0-9]*")))
+
+    def evaluate(
+        self, name: str, high: tuple[str, ...], **options: object
+    ) -> tuple[results.Cell, ...]:
+        """Returns the results of an evaluation, made if it isn't there; none without high level."""
+        if not high:
+            return ()
+        out = self.out / "evaluations" / name
+        if not (out / "eval.json").exists():
+            wanted = {"episodes": self.episodes, "high": high, "out": out} | options
+            evaluate.evaluate(evaluate_config.EvaluateConfig(**wanted))  # pyright: ignore
+        return results.load(out / "eval.json").cells
+
+    def picture(self, name: str, pattern: str, caption: str) -> list[page.Picture]:
+        """Returns the first picture of an evaluation whose name fits, if there is one."""
+        found = sorted((self.out / "evaluations" / name).glob(pattern))
+        return [page.Picture(path, caption) for path in found[:1]]
+
+
+def table1(runs: Runs) -> page.Section:
+    """Trained in the Random Square alone, then unchanged in the others."""
+    evaluated = {
+        "best": runs.evaluate("table1-best", runs.highs("best-random"), mazes=TABLE1),
+        "paper": runs.evaluate("table1-paper", runs.highs("paper-random"), mazes=TABLE1),
+        "generalist": runs.evaluate(
+            "table1-generalist", runs.highs("generalist-rooms"), mazes=TABLE1
+        ),
+    }
+    walkers = runs.evaluate("table1-random", ("random",), mazes=TABLE1)
+    rows = [
+        comparison.Row("paper, oracle", published=paper.TABLE1["oracle"]),
+        comparison.Row("paper, walking", published=paper.TABLE1["full"]),
+        comparison.Row("paper, HIGL", published=paper.HIGL_TABLE1),
+    ]
+    ours = _rows(evaluated | {"RAND-H": walkers})
+    return page.Section(
+        title="Zero-shot mazes (Table 1)",
+        text="Trained on the Random Square with oracle movement and used unchanged in mazes it has "
+        "never seen; the generalist was trained in random rooms and has seen none of the four.",
+        tables=[
+            comparison.success_by_maze("Table 1", [*rows, *ours], TABLE1),
+            comparison.failures("How episodes of Table 1 ended", ours),
+        ],
+        pictures=[
+            *runs.picture("table1-best", "*full*heatmaps.png", "Where the walking ant was."),
+            *runs.picture("table1-best", "*.gif", "The ant on its way, preset best."),
+        ],
+    )
+
+
+def trained(runs: Runs) -> page.Section:
+    """Trained in the maze itself."""
+    rows = []
+    for preset in ("best", "paper"):
+        cells = [
+            cell
+            for maze in TRAINED
+            for cell in runs.evaluate(
+                f"{maze}-{preset}", runs.highs(f"{preset}-{maze}"), mazes=(maze,)
+            )
+        ]
+        rows += _rows({preset: tuple(cells)})
+    return page.Section(
+        title="Trained in the maze itself",
+        text="U, S and Spiral, with the time limits of the paper's Table 3.",
+        tables=[
+            comparison.success_by_maze("U, S and Spiral", rows, TRAINED),
+            comparison.failures("How their episodes ended", rows),
+        ]
+        if rows
+        else [],
+        pictures=[
+            picture
+            for maze in TRAINED
+            for kind in ("*full*-heatmap.png", "*.gif")
+            for picture in runs.picture(f"{maze}-best", kind, f"The walking ant, {maze}.")
+        ],
+    )
+
+
+def table2(runs: Runs) -> page.Section:
+    """Trained in U with the ant's postures, then with other robots."""
+    rows = [
+        comparison.Row("paper, oracle", published=paper.TABLE2),
+        comparison.Row("paper, HIGL", published=paper.HIGL_TABLE2),
+    ]
+    for preset in ("best", "paper"):
+        highs, cells = runs.highs(f"{preset}-u"), []
+        for movement in MOVEMENTS:
+            for robot in ROBOTS:
+                is_slow = movement == "full" and robot in SLOW
+                cells += runs.evaluate(
+                    f"table2-{preset}-{robot}-{movement}",
+                    highs,
+                    mazes=("u",),
+                    robot=(robot,),
+                    movement=(movement,),
+                    episodes=runs.slow_episodes if is_slow else runs.episodes,
+                )
+        rows += _rows({preset: tuple(cells)})
+    return page.Section(
+        title="Zero-shot robots (Table 2)",
+        text="Trained in the U-shaped maze with the ant's postures, then unchanged with other "
+        f"robots; swimmer and humanoid walk {runs.slow_episodes} episodes per high level.",
+        tables=[comparison.success_by_robot("Table 2, Maze-U", rows, ROBOTS)],
+        pictures=[
+            picture
+            for robot in ROBOTS
+            for picture in runs.picture(f"table2-best-{robot}-full", "*.gif", f"The {robot} in U.")
+        ],
+    )
+
+
+def more_time(runs: Runs) -> page.Section:
+    """What more time is worth, and rooms of unseen seeds."""
+    options = {"mazes": TABLE1, "movement": ("oracle",), "num_decisions": 48, "animate": "none"}
+    rows = [
+        comparison.Row(label, runs.evaluate(f"twice-{preset}", runs.highs(trained), **options))
+        for preset, trained, label in _trained_for_others()
+    ]
+    rooms = [
+        comparison.Row(label, _in_rooms(runs, preset, trained))
+        for preset, trained, label in _trained_for_others()
+    ]
+    table = comparison.overall(
+        f"{runs.num_rooms} generated {ROOM_SIDE}x{ROOM_SIDE} rooms of unseen seeds, "
+        "four times the shortest tour",
+        rooms,
+    )
+    return page.Section(
+        title="Twice the time, and generated rooms",
+        text="Oracle movement. What twice the time limit adds was only late before.",
+        tables=[
+            comparison.success_by_maze("Within twice the limit", rows, TABLE1),
+            table,
+        ],
+    )
+
+
+def learning(runs: Runs) -> page.Section:
+    """Learning curves with their range over seeds (paper, Figures 5 and 6)."""
+    pictures = []
+    for maze in ("random", *TRAINED, "rooms"):
+        drawn = {}
+        for preset, label in PRESETS.items():
+            files = sorted(runs.folder.glob(f"{preset}-{maze}-[0-9]*"))
+            metrics = [file for folder in files for file in _metrics(folder)]
+            if metrics:
+                drawn[label] = [
+                    curves.read(path, "num_decisions", "eval/success") * (1.0, 100.0)
+                    for path in metrics
+                ]
+        if drawn:
+            runs.out.mkdir(parents=True, exist_ok=True)
+            path = runs.out / f"learning-{maze}.png"
+            curves.save_spread(path, drawn, x_label="decisions", y_label="success, %")
+            caption = f"Learning in {maze}: mean and range over seeds, subgoals sampled."
+            pictures.append(page.Picture(path, caption))
+    return page.Section(title="Learning (Figures 5 and 6)", pictures=pictures)
+
+
+PARTS: dict[str, Callable[[Runs], page.Section]] = {
+    "table1": table1,
+    "trained": trained,
+    "table2": table2,
+    "more_time": more_time,
+    "learning": learning,
+}
+"""Parts of the report by name, in their order on the page."""
+
+
+def _rows(evaluated: dict[str, tuple[results.Cell, ...]]) -> list[comparison.Row]:
+    """Returns a row for each label and movement that was evaluated."""
+    return [
+        comparison.Row(f"{PRESETS.get(label, label)}, {name}", here)
+        for label, cells in evaluated.items()
+        for movement, name in MOVEMENTS.items()
+        if (here := comparison.select(cells, movement=movement))
+    ]
+
+
+def _trained_for_others() -> list[tuple[str, str, str]]:
+    """Lists what is used in mazes that it wasn't trained in: preset, folder's name, label."""
+    return [
+        ("best", "best-random", PRESETS["best"]),
+        ("paper", "paper-random", PRESETS["paper"]),
+        ("generalist", "generalist-rooms", PRESETS["generalist"]),
+    ]
+
+
+def _in_rooms(runs: Runs, preset: str, trained: str) -> tuple[results.Cell, ...]:
+    """Evaluates in generated rooms that nothing was trained in, one episode each."""
+    folder = runs.out / "rooms"
+    files = [folder / f"room-{seed:05d}.txt" for seed in range(runs.num_rooms)]
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed, file in enumerate(files):
+        if not file.exists():
+            file.write_text(generators.random_room(seed, ROOM_SIDE, ROOM_SIDE))
+    return runs.evaluate(
+        f"rooms-{preset}",
+        runs.highs(trained),
+        mazes=tuple(map(str, files)),
+        movement=("oracle",),
+        episodes=1,
+        animate="none",
+        heatmaps=False,
+    )
+
+
+def _metrics(folder: pathlib.Path) -> list[pathlib.Path]:
+    """Lists the metrics of a run folder, or of a shipped high level."""
+    return [
+        path for name in ("metrics.csv", "high_metrics.csv") if (path := folder / name).exists()
+    ]

@@ -1,0 +1,67 @@
+"""Puts everything that the paper reports on one page: `python -m experiments.report`."""
+
+import dataclasses
+import pathlib
+
+from eihrl_jax import base, policies
+from eihrl_jax.config import checks
+from eihrl_jax.evaluation import comparison, page
+from eihrl_jax.training import parallel
+from experiments import _cli, _report_parts
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReportConfig:
+    """Evaluates trained high levels, and writes report.html and tables.md beside the paper's.
+
+    Evaluations that the folder already holds are taken as they are, so that the command can be
+    stopped and called again.
+
+    Attributes:
+      policies: folder of high levels, `<preset>-<maze>-<seed>` each, as `train_policies` makes
+        them; None: those that are shipped.
+      parts: what to evaluate and show.
+      episodes: per maze and high level.
+      slow_episodes: the same where swimmer or humanoid walk.
+      num_rooms: generated rooms, one episode in each.
+      out: folder of the results.
+    """
+
+    policies: pathlib.Path | None = None
+    parts: tuple[str, ...] = tuple(_report_parts.PARTS)
+    episodes: int = 500
+    slow_episodes: int = 100
+    num_rooms: int = 1_000
+    out: pathlib.Path = pathlib.Path("runs/report")
+
+    def __post_init__(self) -> None:
+        """Checks names and ranges."""
+        for name in self.parts:
+            checks.one_of("parts", name, tuple(_report_parts.PARTS))
+        checks.in_range("episodes", self.episodes, 1, 1_000_000)
+        checks.in_range("slow_episodes", self.slow_episodes, 1, 1_000_000)
+        checks.in_range("num_rooms", self.num_rooms, 1, 100_000)
+
+
+def main(config: ReportConfig) -> None:
+    """Evaluates what is missing, then writes the page."""
+    runs = _report_parts.Runs(
+        folder=policies.PRETRAINED if config.policies is None else config.policies,
+        out=config.out,
+        episodes=config.episodes,
+        slow_episodes=config.slow_episodes,
+        num_rooms=config.num_rooms,
+    )
+    found = [_report_parts.PARTS[part](runs) for part in config.parts]
+    sections = [section for section in found if section.tables or section.pictures]
+    if not sections:
+        raise base.UserError(f"policies = {runs.folder} holds no <preset>-<maze>-<seed>")
+    config.out.mkdir(parents=True, exist_ok=True)
+    page.write(config.out / "report.html", "Zero-shot navigation", comparison.NOTE, sections)
+    (config.out / "tables.md").write_text(page.markdown(sections))
+    print(f"written to {config.out / 'report.html'}")
+
+
+if __name__ == "__main__":
+    parallel.use_cpu_cores()
+    _cli.run(main, ReportConfig)

@@ -1,0 +1,84 @@
+"""Trains every shipped high level again: `python -m experiments.train_policies`."""
+
+import dataclasses
+import pathlib
+import shutil
+
+from eihrl_jax import base, mazes, policies, presets
+from eihrl_jax.config import checks
+from eihrl_jax.config import high as high_config
+from eihrl_jax.training import high, parallel
+from experiments import _cli
+
+MAZES = ("random", "u", "s", "spiral")
+"""Mazes that the paper trains in (Tables 1 to 3)."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PoliciesConfig:
+    """Trains high levels, each preset in each maze with each seed.
+
+    A run that the folder already holds is continued, or taken as it is if it is finished. The
+    generalist has random rooms of its own and is trained once per seed.
+
+    Attributes:
+      presets: of `train_high`.
+      mazes: names of mazes.
+      seeds: of the training runs.
+      out: folder of the runs, `<preset>-<maze>-<seed>` each.
+      ship: copy what is finished into the package, in place of what is shipped.
+    """
+
+    presets: tuple[str, ...] = tuple(presets.HIGH)
+    mazes: tuple[str, ...] = MAZES
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    out: pathlib.Path = pathlib.Path("runs/policies")
+    ship: bool = False
+
+    def __post_init__(self) -> None:
+        """Checks names and ranges."""
+        for name in self.presets:
+            checks.one_of("presets", name, tuple(presets.HIGH))
+        for name in self.mazes:
+            checks.one_of("mazes", name, mazes.NAMES)
+        for seed in self.seeds:
+            checks.in_range("seeds", seed, 0, 2**32 - 1)
+        if not (self.presets and self.mazes and self.seeds):
+            raise base.UserError("presets, mazes and seeds must name at least one each")
+
+
+def main(config: PoliciesConfig) -> None:
+    """Trains what is missing, the first seed of everything first."""
+    for seed in config.seeds:
+        for options in _runs(config, seed):
+            if not (options.run / policies.FOLDER).exists():
+                high.train(options)
+            if config.ship:
+                _ship(options.run)
+
+
+def _runs(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
+    """Lists the options of all runs with one seed."""
+    runs = []
+    for name in config.presets:
+        preset = presets.HIGH[name]
+        for maze in ("rooms",) if preset.task.num_rooms else config.mazes:
+            task = preset.task
+            if not task.num_rooms:
+                task = dataclasses.replace(task, maze=maze)
+            run = config.out / f"{name}-{maze}-{seed}"
+            runs.append(dataclasses.replace(preset, task=task, seed=seed, run=run, resume=True))
+    return runs
+
+
+def _ship(run: pathlib.Path) -> None:
+    """Copies the policy of a finished run, and its metrics, into the package."""
+    target = policies.PRETRAINED / run.name
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(run / policies.FOLDER, target / "high")
+    shutil.copy(run / "metrics.csv", target / "high_metrics.csv")
+
+
+if __name__ == "__main__":
+    parallel.use_cpu_cores()
+    _cli.run(main, PoliciesConfig)
