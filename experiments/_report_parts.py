@@ -156,13 +156,13 @@ def table2(runs: Runs) -> page.Section:
 def more_time(runs: Runs) -> page.Section:
     """What more time is worth, and rooms of unseen seeds."""
     options = {"mazes": TABLE1, "movement": ("oracle",), "num_decisions": 48, "animate": "none"}
+    trained = _trained_for_others(runs)
     rows = [
-        comparison.Row(label, runs.evaluate(f"twice-{preset}", runs.highs(trained), **options))
-        for preset, trained, label in _trained_for_others()
+        comparison.Row(label, runs.evaluate(f"twice-{preset}", highs, **options))
+        for preset, highs, label in trained
     ]
     rooms = [
-        comparison.Row(label, _in_rooms(runs, preset, trained))
-        for preset, trained, label in _trained_for_others()
+        comparison.Row(label, _in_rooms(runs, preset, highs)) for preset, highs, label in trained
     ]
     table = comparison.overall(
         f"{runs.num_rooms} generated {ROOM_SIDE}x{ROOM_SIDE} rooms of unseen seeds, "
@@ -221,16 +221,16 @@ def _rows(evaluated: dict[str, tuple[results.Cell, ...]]) -> list[comparison.Row
     ]
 
 
-def _trained_for_others() -> list[tuple[str, str, str]]:
-    """Lists what is used in mazes that it wasn't trained in: preset, folder's name, label."""
-    return [
-        ("best", "best-random", PRESETS["best"]),
-        ("paper", "paper-random", PRESETS["paper"]),
-        ("generalist", "generalist-rooms", PRESETS["generalist"]),
+def _trained_for_others(runs: Runs) -> list[tuple[str, tuple[str, ...], str]]:
+    """Lists what is used in mazes that it wasn't trained in: preset, high levels, label."""
+    trained = [
+        (preset, runs.highs(f"{preset}-{'rooms' if preset == 'generalist' else 'random'}"), label)
+        for preset, label in PRESETS.items()
     ]
+    return [(preset, highs, label) for preset, highs, label in trained if highs]
 
 
-def _in_rooms(runs: Runs, preset: str, trained: str) -> tuple[results.Cell, ...]:
+def _in_rooms(runs: Runs, preset: str, highs: tuple[str, ...]) -> tuple[results.Cell, ...]:
     """Evaluates in generated rooms that nothing was trained in, one episode each."""
     folder = runs.out / "rooms"
     files = [folder / f"room-{seed:05d}.txt" for seed in range(runs.num_rooms)]
@@ -240,7 +240,7 @@ def _in_rooms(runs: Runs, preset: str, trained: str) -> tuple[results.Cell, ...]
             file.write_text(generators.random_room(seed, ROOM_SIDE, ROOM_SIDE))
     return runs.evaluate(
         f"rooms-{preset}",
-        runs.highs(trained),
+        highs,
         mazes=tuple(map(str, files)),
         movement=("oracle",),
         episodes=1,

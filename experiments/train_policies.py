@@ -54,7 +54,7 @@ def main(config: PoliciesConfig) -> None:
             if not (options.run / policies.FOLDER).exists():
                 high.train(options)
             if config.ship:
-                _ship(options.run)
+                ship(options.run)
 
 
 def _runs(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
@@ -71,7 +71,7 @@ def _runs(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
     return runs
 
 
-def _ship(run: pathlib.Path) -> None:
+def ship(run: pathlib.Path) -> None:
     """Copies the policy of a finished run, and its metrics, into the package."""
     target = policies.PRETRAINED / run.name
     shutil.rmtree(target, ignore_errors=True)

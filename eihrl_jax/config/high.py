@@ -90,7 +90,7 @@ class Network:
     hidden: tuple[int, ...] = (128,)
     num_iterations: int = 24
     cell_features: int = 8
-    value_features: int = 64
+    value_features: int = 32
 
     def __post_init__(self) -> None:
         """Checks sizes."""

@@ -19,8 +19,8 @@ _OPEN = 2.0
 class PlanningActorCritic(nn.Module):
     """Logits of the subgoals from the values of the four cells around the robot, and a value.
 
-    The value is learned by a dense layer that sees the whole map: it serves training alone and may
-    know the maze that is trained in.
+    The value is learned by a dense layer over the values of all cells: it serves training alone and
+    may know the maze that is trained in.
 
     Attributes:
       num_iterations: cells that values travel.
@@ -30,7 +30,7 @@ class PlanningActorCritic(nn.Module):
 
     num_iterations: int = 24
     cell_features: int = 8
-    value_features: int = 64
+    value_features: int = 32
 
     @nn.compact
     def __call__(self, chart: Bool[Array, "n n 4"]) -> tuple[Float[Array, "4"], Float[Array, ""]]:
@@ -51,6 +51,6 @@ class PlanningActorCritic(nn.Module):
         log_scale = self.param("log_scale", nn.initializers.constant(1.5), ())
         middle = chart.shape[0] // 2
         logits = jnp.stack([around[middle, middle] for around in planning.neighbours(values)])
-        known = jnp.concatenate([grid.ravel(), values.ravel()])
-        value = nn.Dense(1, name="value")(nn.relu(nn.Dense(self.value_features)(known)))
+        seen = nn.relu(nn.Dense(self.value_features)(values.ravel()))
+        value = nn.Dense(1, name="value")(seen)
         return jnp.exp(log_scale) * logits, value[0]

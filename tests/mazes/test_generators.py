@@ -47,3 +47,20 @@ def test_arguments_out_of_range(option, value):
     arguments = {"seed": 0, "rows": 5, "columns": 5} | {option: value}
     with pytest.raises(base.UserError, match=f"{option} = {value}"):
         generators.random_room(**arguments)
+
+
+def test_rooms_to_train_in_are_of_all_sizes_and_none_is_a_room_of_a_small_seed():
+    rooms = generators.training_rooms(3, 40, sides=(5, 8), wall_share=0.3)
+    shapes = {room.wall.shape for room in rooms}
+    assert (
+        {rows - 2 for rows, _ in shapes} == {columns - 2 for _, columns in shapes} == {5, 6, 7, 8}
+    )
+    again = generators.training_rooms(3, 40, sides=(5, 8), wall_share=0.3)
+    others = generators.training_rooms(4, 40, sides=(5, 8), wall_share=0.3)
+    texts = [[np.asarray(room.wall).tobytes() for room in lot] for lot in (rooms, again, others)]
+    assert texts[0] == texts[1]
+    assert len(set(texts[0]) & set(texts[2])) < 3
+    limited = generators.training_rooms(0, 2, sides=(5, 5), wall_share=0.0, num_decisions=17)
+    assert [int(room.num_decisions) for room in limited] == [17, 17]
+    with pytest.raises(base.UserError, match="num = 0"):
+        generators.training_rooms(0, 0, sides=(5, 5), wall_share=0.0)

@@ -1,0 +1,93 @@
+"""Training what is shipped and reporting on it, with presets that are tiny."""
+
+import dataclasses
+
+import pytest
+
+from eihrl_jax import base, policies, presets
+from eihrl_jax.config import high as high_config
+from experiments import report, train_policies
+
+
+def tiny(name, **task):
+    """Returns a preset of a few updates that plans on a small map."""
+    return high_config.HighConfig(
+        preset=name,
+        task=high_config.Task(map_radius=2, robot="point", **task),
+        network=high_config.Network(
+            kind="planner", num_iterations=3, cell_features=2, value_features=2
+        ),
+        learner=high_config.Learner(num_workers=4, window=6, num_updates=2),
+        log_every=1,
+        evaluate_every=2,
+        num_eval_episodes=4,
+        checkpoint_every=2,
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """Returns the folder of high levels from tiny presets."""
+    out = tmp_path_factory.mktemp("policies")
+    with pytest.MonkeyPatch.context() as patch:
+        rooms = tiny("generalist", num_rooms=3, room_sides=(4, 6))
+        patch.setattr(presets, "HIGH", {"best": tiny("best"), "generalist": rooms})
+        options = train_policies.PoliciesConfig(
+            presets=("best", "generalist"), mazes=("random", "u"), seeds=(0, 1), out=out
+        )
+        train_policies.main(options)
+        times = {path: path.stat().st_mtime_ns for path in out.glob("*/policy/meta.json")}
+        train_policies.main(options)  # takes what is finished as it is
+        assert times == {path: path.stat().st_mtime_ns for path in times}
+    return out
+
+
+def test_every_preset_is_trained_in_every_maze_and_the_generalist_in_rooms(trained):
+    assert sorted(path.name for path in trained.iterdir()) == sorted(
+        [f"best-{maze}-{seed}" for maze in ("random", "u") for seed in (0, 1)]
+        + [f"generalist-rooms-{seed}" for seed in (0, 1)]
+    )
+    _, meta = policies.load(policies.find(trained / "generalist-rooms-1", "high"), kind="high")
+    assert meta["maze"] == "3 random rooms"
+    assert meta["network"]["kind"] == "planner" and meta["view"]["map_radius"] == 2
+
+
+def test_finished_runs_are_shipped_with_their_metrics(trained, tmp_path, monkeypatch):
+    monkeypatch.setattr(policies, "PRETRAINED", tmp_path)
+    for _ in range(2):  # what is shipped is replaced
+        train_policies.ship(trained / "best-u-0")
+    assert policies.find("best-u-0", "high") == tmp_path / "best-u-0" / "high"
+    assert (tmp_path / "best-u-0" / "high_metrics.csv").read_text().startswith("step,")
+
+
+def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, tmp_path, capsys):
+    options = report.ReportConfig(
+        policies=trained,
+        parts=("table1", "more_time", "learning"),
+        episodes=3,
+        num_rooms=4,
+        out=tmp_path,
+    )
+    report.main(options)
+    text = (tmp_path / "report.html").read_text()
+    assert text.count("<table>") == 4 and text.count("<img") >= 3
+    lines = (tmp_path / "tables.md").read_text()
+    assert "| paper, oracle | 66.4 ± 5.4 | 72.0 ± 6.3 | 58.4 ± 8.3 | 84.8 ± 6.6 |" in lines
+    assert "| ours, generalist, oracle |" in lines and "as in the paper" not in lines
+    times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("eval.json")}
+    assert len(times) == 7
+    report.main(dataclasses.replace(options, parts=("table1",)))
+    assert times == {path: path.stat().st_mtime_ns for path in times}
+    assert "report.html" in capsys.readouterr().out
+
+
+def test_bad_input_is_named(tmp_path):
+    with pytest.raises(base.UserError, match=r"presets = 'better' must be one of best, "):
+        train_policies.PoliciesConfig(presets=("better",))
+    with pytest.raises(base.UserError, match="must name at least one"):
+        train_policies.PoliciesConfig(mazes=())
+    with pytest.raises(base.UserError, match=r"parts = 'all' must be one of table1, "):
+        report.ReportConfig(parts=("all",))
+    options = report.ReportConfig(policies=tmp_path, parts=("learning",), out=tmp_path / "out")
+    with pytest.raises(base.UserError, match="holds no <preset>-<maze>-<seed>"):
+        report.main(options)
