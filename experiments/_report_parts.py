@@ -26,6 +26,7 @@ class Runs:
     Attributes:
       folder: holds the high levels, `<preset>-<maze>-<seed>` each.
       out: folder of the report.
+      movement: those that are evaluated.
       episodes: per maze and high level.
       slow_episodes: the same where swimmer or humanoid walk.
       num_rooms: generated rooms.
@@ -33,6 +34,7 @@ class Runs:
 
     folder: pathlib.Path
     out: pathlib.Path
+    movement: tuple[str, ...]
     episodes: int
     slow_episodes: int
     num_rooms: int
@@ -49,7 +51,8 @@ class Runs:
             return ()
         out = self.out / "evaluations" / name
         if not (out / "eval.json").exists():
-            wanted = {"episodes": self.episodes, "high": high, "out": out} | options
+            wanted = {"episodes": self.episodes, "movement": self.movement, "high": high}
+            wanted |= {"out": out} | options
             evaluate.evaluate(evaluate_config.EvaluateConfig(**wanted))  # pyright: ignore
         return results.load(out / "eval.json").cells
 
@@ -128,7 +131,7 @@ def table2(runs: Runs) -> page.Section:
     ]
     for preset in ("best", "paper"):
         highs, cells = runs.highs(f"{preset}-u"), []
-        for movement in MOVEMENTS:
+        for movement in runs.movement:
             for robot in ROBOTS:
                 is_slow = movement == "full" and robot in SLOW
                 cells += runs.evaluate(

@@ -2,6 +2,7 @@
 
 import dataclasses
 import pathlib
+from typing import Literal
 
 from eihrl_jax import base, policies
 from eihrl_jax.config import checks
@@ -21,6 +22,8 @@ class ReportConfig:
       policies: folder of high levels, `<preset>-<maze>-<seed>` each, as `train_policies` makes
         them; None: those that are shipped.
       parts: what to evaluate and show.
+      movement: oracle: the simulator moves the torso; full: the robot walks, which takes most of
+        the time.
       episodes: per maze and high level.
       slow_episodes: the same where swimmer or humanoid walk.
       num_rooms: generated rooms, one episode in each.
@@ -29,6 +32,7 @@ class ReportConfig:
 
     policies: pathlib.Path | None = None
     parts: tuple[str, ...] = tuple(_report_parts.PARTS)
+    movement: tuple[Literal["oracle", "full"], ...] = ("oracle", "full")
     episodes: int = 500
     slow_episodes: int = 100
     num_rooms: int = 1_000
@@ -38,6 +42,8 @@ class ReportConfig:
         """Checks names and ranges."""
         for name in self.parts:
             checks.one_of("parts", name, tuple(_report_parts.PARTS))
+        if not (self.parts and self.movement):
+            raise base.UserError("parts and movement must name at least one each")
         checks.in_range("episodes", self.episodes, 1, 1_000_000)
         checks.in_range("slow_episodes", self.slow_episodes, 1, 1_000_000)
         checks.in_range("num_rooms", self.num_rooms, 1, 100_000)
@@ -48,6 +54,7 @@ def main(config: ReportConfig) -> None:
     runs = _report_parts.Runs(
         folder=policies.PRETRAINED if config.policies is None else config.policies,
         out=config.out,
+        movement=config.movement,
         episodes=config.episodes,
         slow_episodes=config.slow_episodes,
         num_rooms=config.num_rooms,

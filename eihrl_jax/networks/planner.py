@@ -2,8 +2,8 @@
 
 Two numbers are learned per cell from the cell and those around it, what it is worth and what it
 lets through, and value iteration carries them to the robot: a direction is worth what the cell
-there is. No weight knows where on the map it is used or which way it looks, so that a corner of a
-wall means the same wherever it stands, also in a maze that training never showed.
+there is. No weight knows where on the map it is used, where the robot is, or which way it looks:
+a corner of a wall means the same wherever it stands, also in a maze that training never showed.
 """
 
 import flax.linen as nn
@@ -39,7 +39,10 @@ class PlanningActorCritic(nn.Module):
         Source: Tamar et al. 2016, Sec. 4; gates per cell instead of shared transitions, and
           features that look the same after turning and mirroring, are ours.
         """
-        grid = jnp.moveaxis(chart, -1, 0).astype(jnp.float32)
+        # The robot is always in the middle, and nothing may hang on that: telling the cells around
+        # it from others, a planner stayed at 66 % where it reaches 98 without.
+        wall, goal, _, unseen = jnp.moveaxis(chart, -1, 0).astype(jnp.float32)
+        grid = jnp.stack([wall, goal, unseen])
         east, west, north, south = planning.neighbours(grid)
         _, _, *corners = planning.neighbours(east + west)
         features = jnp.concatenate([grid, east + west + north + south, sum(corners)])

@@ -64,6 +64,7 @@ def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, tmp_path, cap
     options = report.ReportConfig(
         policies=trained,
         parts=("table1", "more_time", "learning"),
+        movement=("oracle",),
         episodes=3,
         num_rooms=4,
         out=tmp_path,
