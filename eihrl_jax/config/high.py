@@ -28,6 +28,7 @@ class Task:
         of the paper's epsilon-Invariant Randomization (Sec. 3.2); a tenth of the step is ours.
       measured: folder of `experiments.measure_low`, whose mean displacement, standard deviation and
         postures take the place of step, sigma and the shipped postures.
+      num_postures: how many of the recorded postures are shown, the first ones; None: all.
       num_substeps: pieces in which a move is made, each stopped by walls.
       map_radius: cells to every side of the robot's on a map of all that has been in view, which
         the high level sees in place of the view itself; not in the paper. 0: no map.
@@ -45,6 +46,7 @@ class Task:
     step: float = 3.0
     sigma: float = 0.3
     measured: pathlib.Path | None = None
+    num_postures: int | None = None
     num_substeps: int = 6
     map_radius: int = 0
     num_rooms: int = 0
@@ -59,6 +61,8 @@ class Task:
         checks.in_range("step", self.step, above=0.0, high=30.0)
         checks.in_range("sigma", self.sigma, 0.0, 3.0)
         checks.in_range("num_substeps", self.num_substeps, 6, 100)
+        if self.num_postures is not None:
+            checks.in_range("num_postures", self.num_postures, 1, 1_000_000)
         checks.in_range("map_radius", self.map_radius, 0, 32)
         checks.in_range("num_rooms", self.num_rooms, 0, 100_000)
         least, greatest = self.room_sides

@@ -102,7 +102,7 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
     )
     return oracle_maze.OracleMaze(
         _rooms(task, seed) if task.num_rooms else _maze(task),
-        postures.footprints(robot, bank, view),
+        postures.footprints(robot, bank, view)[: task.num_postures],
         view=view,
         movement=movement,
         reward=task.reward,

@@ -6,7 +6,7 @@ import pytest
 
 from eihrl_jax import base, policies, presets
 from eihrl_jax.config import high as high_config
-from experiments import report, train_policies
+from experiments import ablate_high, report, train_policies
 
 
 def tiny(name, **task):
@@ -92,3 +92,38 @@ def test_bad_input_is_named(tmp_path):
     options = report.ReportConfig(policies=tmp_path, parts=("learning",), out=tmp_path / "out")
     with pytest.raises(base.UserError, match="holds no <preset>-<maze>-<seed>"):
         report.main(options)
+
+
+def test_variants_of_a_preset_are_trained_and_compared(tmp_path, monkeypatch):
+    monkeypatch.setattr(presets, "HIGH", {"paper": tiny("paper")})
+    options = ablate_high.AblationConfig(
+        variants=("preset", "one posture", "1 worker"),
+        seeds=(0, 1),
+        robot="point",
+        movement=("oracle",),
+        episodes=2,
+        out=tmp_path,
+    )
+    ablate_high.main(options)
+    lines = (tmp_path / "table.md").read_text().splitlines()
+    labels = [line.split(" | ")[0].strip("| ") for line in lines[4:]]
+    assert labels == [
+        "preset, oracle",
+        "one posture, oracle",
+        "1 worker, oracle",
+        "RAND-H, oracle",
+    ]
+    assert lines[4].count("±") == 4 and lines[7].count("±") == 0
+    assert (tmp_path / "curves.png").stat().st_size > 10_000
+    trained = (tmp_path / "1-worker" / "seed-1" / "config.json").read_text()
+    assert '"num_workers": 1,' in trained
+
+
+def test_every_variant_changes_something():
+    for preset in (presets.high_paper(), presets.high_best()):
+        for name, change in ablate_high.VARIANTS.items():
+            assert (change(preset) == preset) == (name == "preset")
+    with pytest.raises(base.UserError, match=r"variants = 'none' must be one of preset, "):
+        ablate_high.AblationConfig(variants=("none",))
+    with pytest.raises(base.UserError, match="log_every = 100 must divide num_updates = 250"):
+        ablate_high.AblationConfig(num_updates=250)

@@ -1,0 +1,162 @@
+"""Measures what epsilon, postures and workers give: `python -m experiments.ablate_high`."""
+
+import dataclasses
+import pathlib
+from collections.abc import Callable
+from typing import Literal
+
+from eihrl_jax import base, policies, presets
+from eihrl_jax.config import checks
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import high as high_config
+from eihrl_jax.evaluation import comparison, curves, evaluate, results
+from eihrl_jax.training import high, parallel
+from experiments import _cli
+
+Change = Callable[[high_config.HighConfig], high_config.HighConfig]
+
+MAZES = ("random", "g1", "g2", "g3")
+
+
+def _task(**options: object) -> Change:
+    return lambda preset: dataclasses.replace(
+        preset, task=dataclasses.replace(preset.task, **options)
+    )
+
+
+def _workers(num: int) -> Change:
+    """Lets fewer or more workers act; an update learns from that much less or more."""
+    return lambda preset: dataclasses.replace(
+        preset, learner=dataclasses.replace(preset.learner, num_workers=num)
+    )
+
+
+VARIANTS: dict[str, Change] = {
+    "preset": lambda preset: preset,
+    "epsilon 0": _task(sigma=0.0),
+    "epsilon 0.15": _task(sigma=0.15),
+    "epsilon 0.6": _task(sigma=0.6),
+    "one posture": _task(num_postures=1),
+    "1 worker": _workers(1),
+    "4 workers": _workers(4),
+    "16 workers": _workers(16),
+    "256 workers": _workers(256),
+}
+"""What is changed, one thing at a time, by name; the presets have an epsilon of 0.3 units."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AblationConfig:
+    """Trains a preset of the high level with one thing changed at a time, and compares.
+
+    Every variant is trained on the Random Square for the same number of updates, then evaluated
+    unchanged in the mazes of Table 1, beside uniform directions (RAND-H). Runs and evaluations that
+    the folder already holds are continued or taken as they are. Writes table.md and curves.png from
+    all variants that are there.
+
+    Attributes:
+      preset: of `train_high`; `paper` has 64 workers and sees postures, `best` sees none.
+      variants: what to train; default: everything.
+      seeds: of the training runs of each variant.
+      num_updates: of each run, a multiple of the preset's `log_every`; None: the preset's.
+      robot: that walks.
+      movement: of the evaluation; oracle moves with an epsilon of 0.3 units whatever it was trained
+        with.
+      episodes: per maze.
+      out: folder of the runs and the results.
+    """
+
+    preset: str = "paper"
+    variants: tuple[str, ...] = tuple(VARIANTS)
+    seeds: tuple[int, ...] = (0, 1, 2)
+    num_updates: int | None = None
+    robot: str = "ant"
+    movement: tuple[Literal["oracle", "full"], ...] = ("oracle", "full")
+    episodes: int = 500
+    out: pathlib.Path = pathlib.Path("runs/ablation-high")
+
+    def __post_init__(self) -> None:
+        """Checks names and ranges."""
+        checks.one_of("preset", self.preset, tuple(presets.HIGH))
+        for name in self.variants:
+            checks.one_of("variants", name, tuple(VARIANTS))
+        for seed in self.seeds:
+            checks.in_range("seeds", seed, 0, 2**32 - 1)
+        if not (self.variants and self.seeds and self.movement):
+            raise base.UserError("variants, seeds and movement must name at least one each")
+        checks.in_range("episodes", self.episodes, 1, 1_000_000)
+        if self.num_updates is not None:
+            every = presets.HIGH[self.preset].log_every
+            checks.divides("log_every", every, "num_updates", self.num_updates)
+
+
+def main(config: AblationConfig) -> None:
+    """Trains and evaluates what is missing, then compares what is there."""
+    for seed in config.seeds:
+        for name in config.variants:
+            options = _options(config, name, seed)
+            if not (options.run / policies.FOLDER).exists():
+                high.train(options)
+    for name in config.variants:
+        _evaluate(config, name, tuple(str(_options(config, name, s).run) for s in config.seeds))
+    _evaluate(config, "RAND-H", (evaluate_config.RANDOM,))
+    table = compare(config)
+    (config.out / "table.md").write_text(table)
+    print(table)
+
+
+def compare(config: AblationConfig) -> str:
+    """Draws the learning curves of finished runs, and returns the table of what was evaluated."""
+    drawn = {}
+    for name in VARIANTS:
+        files = [_options(config, name, seed).run / "metrics.csv" for seed in config.seeds]
+        read = [curves.read(file, "step", "eval/success") for file in files if file.exists()]
+        if read:
+            drawn[name] = [points * (1.0, 100.0) for points in read]
+    path = config.out / "curves.png"
+    curves.save_spread(path, drawn, x_label="updates", y_label="success while training, %")
+    rows = []
+    for movement in config.movement:
+        for name in (*VARIANTS, "RAND-H"):
+            file = config.out / "evaluations" / _folder(name) / "eval.json"
+            if file.exists():
+                cells = comparison.select(results.load(file).cells, movement=movement)
+                rows.append(comparison.Row(f"{name}, {movement}", cells))
+    title = f"Preset {config.preset}, one thing changed at a time"
+    return comparison.success_by_maze(title, rows, MAZES).markdown() + "\n"
+
+
+def _options(config: AblationConfig, name: str, seed: int) -> high_config.HighConfig:
+    run = config.out / _folder(name) / f"seed-{seed}"
+    options = dataclasses.replace(presets.HIGH[config.preset], seed=seed, run=run, resume=True)
+    if config.num_updates is not None:
+        learner = dataclasses.replace(options.learner, num_updates=config.num_updates)
+        options = dataclasses.replace(options, learner=learner)
+    return VARIANTS[name](options)
+
+
+def _evaluate(config: AblationConfig, name: str, highs: tuple[str, ...]) -> None:
+    """Evaluates what was trained alike, if that hasn't been done."""
+    out = config.out / "evaluations" / _folder(name)
+    if (out / "eval.json").exists():
+        return
+    options = evaluate_config.EvaluateConfig(
+        mazes=MAZES,
+        robot=(config.robot,),
+        movement=config.movement,
+        high=highs,
+        episodes=config.episodes,
+        out=out,
+        animate="none",
+        heatmaps=False,
+    )
+    evaluate.evaluate(options)
+
+
+def _folder(name: str) -> str:
+    return name.replace(" ", "-")
+
+
+if __name__ == "__main__":
+    parallel.use_cpu_cores()
+    _cli.run(main, AblationConfig)
