@@ -1,9 +1,10 @@
 """Policy and value of the high level from a map, by planning on it (Tamar et al. 2016).
 
 Two numbers are learned per cell from the cell and those around it, what it is worth and what it
-lets through, and value iteration carries them to the robot: a direction is worth what the cell
-there is. No weight knows where on the map it is used, where the robot is, or which way it looks:
-a corner of a wall means the same wherever it stands, also in a maze that training never showed.
+lets through (a wall nothing), and value iteration carries them to the robot: a direction is worth
+what the cell there is. No weight knows where on the map it is used, where the robot is, or which
+way it looks: a corner of a wall means the same wherever it stands, also in a maze that training
+never showed.
 """
 
 import flax.linen as nn
@@ -49,7 +50,9 @@ class PlanningActorCritic(nn.Module):
         trunk_init = nn.initializers.orthogonal(2**0.5)
         hidden = nn.Dense(self.cell_features, kernel_init=trunk_init)(jnp.moveaxis(features, 0, -1))
         outputs = nn.Dense(2, kernel_init=nn.initializers.orthogonal(0.3))(nn.relu(hidden))
-        reward, gate = outputs[..., 0], nn.sigmoid(outputs[..., 1] + _OPEN)
+        # That there is no way through a wall is known: a room without inner walls doesn't teach it.
+        is_open = 1.0 - wall
+        reward, gate = is_open * outputs[..., 0], is_open * nn.sigmoid(outputs[..., 1] + _OPEN)
         values = planning.value_iteration(reward, gate, self.num_iterations)
         log_scale = self.param("log_scale", nn.initializers.constant(1.5), ())
         middle = chart.shape[0] // 2
