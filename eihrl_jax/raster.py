@@ -153,10 +153,8 @@ def draw(
     Returns:
       Channels wall, unvisited goal, robot.
     """
-    unvisited = _pack_bits(~visited) << 1  # bit g for goal g, bit 0 for cells without goal
-    is_goal = (unvisited >> (codes % maze_lib.WALL).astype(jnp.uint32)) & 1
     walls = _pack_bits(codes == maze_lib.WALL)
-    goals = _pack_bits(is_goal.astype(bool))
+    goals = _pack_bits(_is_unvisited(codes, visited))
     i, j = _pixel_cells(xy, view)
     # Gathers also keep XLA from computing words and masks anew for every pixel.
     cells = (walls | goals << _GOAL_SHIFT).at[i - i[:1]].get(mode="promise_in_bounds")
@@ -222,11 +220,16 @@ def draw_map(
     Returns:
       Channels wall, unvisited goal, robot, and what hasn't been seen.
     """
-    unvisited = _pack_bits(~visited) << 1
-    is_goal = ((unvisited >> (codes % maze_lib.WALL).astype(jnp.uint32)) & 1).astype(bool)
+    goal = seen & _is_unvisited(codes, visited)
     robot = np.zeros(codes.shape, bool)
     robot[codes.shape[0] // 2, codes.shape[1] // 2] = True
-    return jnp.stack([seen & (codes == maze_lib.WALL), seen & is_goal, robot, ~seen], -1)
+    return jnp.stack([seen & (codes == maze_lib.WALL), goal, robot, ~seen], -1)
+
+
+def _is_unvisited(codes: UInt8[Array, "*k"], visited: Bool[Array, "9"]) -> Bool[Array, "*k"]:
+    """Tells which cells belong to a goal that hasn't been paid."""
+    unvisited = _pack_bits(~visited) << 1  # bit g for goal g, bit 0 for cells without goal
+    return ((unvisited >> (codes % maze_lib.WALL).astype(jnp.uint32)) & 1).astype(bool)
 
 
 def _pixel_cells(xy: Float[Array, "2"], view: View) -> tuple[Int[Array, "P"], Int[Array, "P"]]:

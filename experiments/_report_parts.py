@@ -5,10 +5,11 @@ import pathlib
 from collections.abc import Callable
 
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.evaluation import comparison, curves, evaluate, page, paper, results
+from eihrl_jax.evaluation import comparison, curves, page, paper, results, tables
 from eihrl_jax.mazes import generators
+from experiments import _runs
 
-TABLE1 = ("random", "g1", "g2", "g3")
+TABLE1 = tuple(tables.TABLE1_MAZES)
 TRAINED = ("u", "s", "spiral")
 ROBOTS = ("ant", "point", "swimmer", "humanoid")
 SLOW = ("swimmer", "humanoid")
@@ -49,12 +50,9 @@ class Runs:
         """Returns the results of an evaluation, made if it isn't there; none without high level."""
         if not high:
             return ()
-        out = self.out / "evaluations" / name
-        if not (out / "eval.json").exists():
-            wanted = {"episodes": self.episodes, "movement": self.movement, "high": high}
-            wanted |= {"out": out} | options
-            evaluate.evaluate(evaluate_config.EvaluateConfig(**wanted))  # pyright: ignore
-        return results.load(out / "eval.json").cells
+        wanted = {"episodes": self.episodes, "movement": self.movement, "high": high}
+        wanted |= {"out": self.out / "evaluations" / name} | options
+        return _runs.evaluated(evaluate_config.EvaluateConfig(**wanted))  # pyright: ignore
 
     def picture(self, name: str, pattern: str, caption: str) -> list[page.Picture]:
         """Returns the first picture of an evaluation whose name fits, if there is one."""
@@ -65,11 +63,8 @@ class Runs:
 def table1(runs: Runs) -> page.Section:
     """Trained in the Random Square alone, then unchanged in the others."""
     evaluated = {
-        "best": runs.evaluate("table1-best", runs.highs("best-random"), mazes=TABLE1),
-        "paper": runs.evaluate("table1-paper", runs.highs("paper-random"), mazes=TABLE1),
-        "generalist": runs.evaluate(
-            "table1-generalist", runs.highs("generalist-rooms"), mazes=TABLE1
-        ),
+        preset: runs.evaluate(f"table1-{preset}", highs, mazes=TABLE1)
+        for preset, highs, _ in _trained_for_others(runs)
     }
     walkers = runs.evaluate("table1-random", ("random",), mazes=TABLE1)
     rows = [
@@ -188,17 +183,18 @@ def learning(runs: Runs) -> page.Section:
     for maze in ("random", *TRAINED, "rooms"):
         drawn = {}
         for preset, label in PRESETS.items():
-            files = sorted(runs.folder.glob(f"{preset}-{maze}-[0-9]*"))
-            metrics = [file for folder in files for file in _metrics(folder)]
+            highs = runs.highs(f"{preset}-{maze}")
+            metrics = [file for high in highs for file in _metrics(pathlib.Path(high))]
             if metrics:
                 drawn[label] = [
-                    curves.read(path, "num_decisions", "eval/success") * (1.0, 100.0)
-                    for path in metrics
+                    curves.read(path, "num_decisions", "eval/success") for path in metrics
                 ]
         if drawn:
             runs.out.mkdir(parents=True, exist_ok=True)
             path = runs.out / f"learning-{maze}.png"
-            curves.save_spread(path, drawn, x_label="decisions", y_label="success, %")
+            curves.save_spread(
+                path, drawn, x_label="decisions", y_label="success, %", y_scale=100.0
+            )
             caption = f"Learning in {maze}: mean and range over seeds, subgoals sampled."
             pictures.append(page.Picture(path, caption))
     return page.Section(title="Learning (Figures 5 and 6)", pictures=pictures)

@@ -5,17 +5,18 @@ import pathlib
 from collections.abc import Callable
 from typing import Literal
 
-from eihrl_jax import base, policies, presets
+from eihrl_jax import base, presets
 from eihrl_jax.config import checks
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
-from eihrl_jax.evaluation import comparison, curves, evaluate, results
+from eihrl_jax.evaluation import comparison, curves, tables
 from eihrl_jax.training import high, parallel
-from experiments import _cli
+from experiments import _cli, _runs
 
 Change = Callable[[high_config.HighConfig], high_config.HighConfig]
 
-MAZES = ("random", "g1", "g2", "g3")
+RAND_H = "RAND-H"
+"""What the paper calls uniform directions."""
 
 
 def _task(**options: object) -> Change:
@@ -94,12 +95,9 @@ def main(config: AblationConfig) -> None:
     """Trains and evaluates what is missing, then compares what is there."""
     for seed in config.seeds:
         for name in config.variants:
-            options = _options(config, name, seed)
-            if not (options.run / policies.FOLDER).exists():
-                high.train(options)
-    for name in config.variants:
-        _evaluate(config, name, tuple(str(_options(config, name, s).run) for s in config.seeds))
-    _evaluate(config, "RAND-H", (evaluate_config.RANDOM,))
+            _runs.finish(_options(config, name, seed), high.train)
+    for name in (*config.variants, RAND_H):
+        _runs.evaluated(_evaluation(config, name))
     table = compare(config)
     (config.out / "table.md").write_text(table)
     print(table)
@@ -109,21 +107,30 @@ def compare(config: AblationConfig) -> str:
     """Draws the learning curves of finished runs, and returns the table of what was evaluated."""
     drawn = {}
     for name in VARIANTS:
-        files = [_options(config, name, seed).run / "metrics.csv" for seed in config.seeds]
-        read = [curves.read(file, "step", "eval/success") for file in files if file.exists()]
-        if read:
-            drawn[name] = [points * (1.0, 100.0) for points in read]
-    path = config.out / "curves.png"
-    curves.save_spread(path, drawn, x_label="updates", y_label="success while training, %")
-    rows = []
-    for movement in config.movement:
-        for name in (*VARIANTS, "RAND-H"):
-            file = config.out / "evaluations" / _folder(name) / "eval.json"
-            if file.exists():
-                cells = comparison.select(results.load(file).cells, movement=movement)
-                rows.append(comparison.Row(f"{name}, {movement}", cells))
+        wanted = [_options(config, name, seed) for seed in config.seeds]
+        files = [options.run / "metrics.csv" for options in wanted if _runs.is_finished(options)]
+        if files:
+            drawn[name] = [curves.read(file, "step", "eval/success") for file in files]
+    curves.save_spread(
+        config.out / "curves.png",
+        drawn,
+        x_label="updates",
+        y_label="success while training, %",
+        y_scale=100.0,
+    )
+    evaluations = {name: _evaluation(config, name) for name in (*VARIANTS, RAND_H)}
+    found = {
+        name: _runs.evaluated(options)
+        for name, options in evaluations.items()
+        if options.out.exists()
+    }
+    rows = [
+        comparison.Row(f"{name}, {movement}", comparison.select(cells, movement=movement))
+        for movement in config.movement
+        for name, cells in found.items()
+    ]
     title = f"Preset {config.preset}, one thing changed at a time"
-    return comparison.success_by_maze(title, rows, MAZES).markdown() + "\n"
+    return comparison.success_by_maze(title, rows, tuple(tables.TABLE1_MAZES)).markdown() + "\n"
 
 
 def _options(config: AblationConfig, name: str, seed: int) -> high_config.HighConfig:
@@ -135,22 +142,21 @@ def _options(config: AblationConfig, name: str, seed: int) -> high_config.HighCo
     return VARIANTS[name](options)
 
 
-def _evaluate(config: AblationConfig, name: str, highs: tuple[str, ...]) -> None:
-    """Evaluates what was trained alike, if that hasn't been done."""
-    out = config.out / "evaluations" / _folder(name)
-    if (out / "eval.json").exists():
-        return
-    options = evaluate_config.EvaluateConfig(
-        mazes=MAZES,
+def _evaluation(config: AblationConfig, name: str) -> evaluate_config.EvaluateConfig:
+    """Returns the options with which what was trained alike is evaluated."""
+    highs = (evaluate_config.RANDOM,)
+    if name != RAND_H:
+        highs = tuple(str(_options(config, name, seed).run) for seed in config.seeds)
+    return evaluate_config.EvaluateConfig(
+        mazes=tuple(tables.TABLE1_MAZES),
         robot=(config.robot,),
         movement=config.movement,
         high=highs,
         episodes=config.episodes,
-        out=out,
+        out=config.out / "evaluations" / _folder(name),
         animate="none",
         heatmaps=False,
     )
-    evaluate.evaluate(options)
 
 
 def _folder(name: str) -> str:

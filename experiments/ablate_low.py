@@ -8,13 +8,12 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from eihrl_jax import base, policies, presets
-from eihrl_jax import config as config_lib
+from eihrl_jax import base, presets
 from eihrl_jax.config import checks
 from eihrl_jax.config import low as low_config
 from eihrl_jax.evaluation import curves
 from eihrl_jax.training import low
-from experiments import _cli
+from experiments import _cli, _runs
 
 Change = Callable[[low_config.LowConfig], low_config.LowConfig]
 
@@ -100,9 +99,7 @@ def main(config: AblationConfig) -> None:
     """Trains what is missing, then compares what is there."""
     for seed in config.seeds:
         for name in config.variants:
-            options = _options(config, name, seed)
-            if not (options.run / policies.FOLDER).exists():
-                low.train(options)
+            _runs.finish(_options(config, name, seed), low.train)
     table = compare(config)
     (config.out / "table.md").write_text(table)
     print(table)
@@ -113,10 +110,7 @@ def compare(config: AblationConfig) -> str:
     drawn, rows = {}, []
     for name in VARIANTS:
         wanted = [_options(config, name, seed) for seed in config.seeds]
-        finished = [options for options in wanted if (options.run / policies.FOLDER).exists()]
-        for options in finished:
-            _check_same(options)
-        folders = [options.run for options in finished]
+        folders = [options.run for options in wanted if _runs.is_finished(options)]
         if folders:
             drawn[name] = [error_curve(folder / "metrics.csv") for folder in folders]
             rows.append(_row(name, folders, [curve[-1, 1] for curve in drawn[name]]))
@@ -172,14 +166,6 @@ def _options(config: AblationConfig, name: str, seed: int) -> low_config.LowConf
 
 def _folder(name: str) -> str:
     return name.replace(" ", "-").replace(".", "").replace(":", "")
-
-
-def _check_same(options: low_config.LowConfig) -> None:
-    """Checks that a finished run is what it would be if it were trained now."""
-    file = options.run / "config.json"
-    found = config_lib.from_json(low_config.LowConfig, file.read_text(), source=str(file))
-    if dataclasses.replace(found, run=options.run, resume=True) != options:
-        raise base.UserError(f"{options.run} was trained with other options: name another --out")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from eihrl_jax import base, mazes, policies, presets
 from eihrl_jax.config import checks
 from eihrl_jax.config import high as high_config
 from eihrl_jax.training import high, parallel
-from experiments import _cli
+from experiments import _cli, _runs
 
 MAZES = ("random", "u", "s", "spiral")
 """Mazes that the paper trains in (Tables 1 to 3)."""
@@ -50,14 +50,13 @@ class PoliciesConfig:
 def main(config: PoliciesConfig) -> None:
     """Trains what is missing, the first seed of everything first."""
     for seed in config.seeds:
-        for options in _runs(config, seed):
-            if not (options.run / policies.FOLDER).exists():
-                high.train(options)
+        for options in _options(config, seed):
+            _runs.finish(options, high.train)
             if config.ship:
                 ship(options.run)
 
 
-def _runs(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
+def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
     """Lists the options of all runs with one seed."""
     runs = []
     for name in config.presets:

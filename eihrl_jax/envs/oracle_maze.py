@@ -131,7 +131,7 @@ class OracleMaze:
         next_key, start_key, posture_key = jax.random.split(key, 3)
         nav, xy = task.start(self.course, start_key, maze)
         inner = Oracle(
-            nav=task.look(self.course, nav, xy, self.view),
+            nav=nav,
             xy=xy,
             posture=self._pick_posture(jax.random.uniform(posture_key)),
             total_reward=jnp.float32(0.0),
@@ -154,7 +154,7 @@ class OracleMaze:
         if self.reward == "dense":
             outcome = outcome.replace(reward=task.dense_reward(course, nav, path_xy[-1]))
         inner = Oracle(
-            nav=task.look(course, nav, path_xy[-1], self.view),
+            nav=nav,
             xy=path_xy[-1],
             posture=self._pick_posture(0.5 * (draws[2] + 1.0)),
             total_reward=inner.total_reward + outcome.reward,
@@ -210,6 +210,7 @@ class OracleMaze:
 
     def _state(self, inner: Oracle, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
         """Puts together what `reset` and `step` return."""
+        inner = inner.replace(nav=task.look(self.course, inner.nav, inner.xy, self.view))
         obs = self.observe(inner)
         return base.EnvState(
             inner=inner,

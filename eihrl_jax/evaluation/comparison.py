@@ -103,8 +103,7 @@ def mean(cells: Sequence[results.Cell]) -> str:
     rates = np.array([np.mean(rates) for rates in by_high.values()])
     if len(rates) == 1:
         return f"{100 * rates[0]:.1f}"
-    spread = statistics.over_runs(rates)
-    return f"{100 * spread.mean:.1f} ± {100 * spread.std:.1f}"
+    return tables.spread(statistics.over_runs(rates))
 
 
 def _entry(row: Row, column: str, cells: Sequence[results.Cell]) -> str:

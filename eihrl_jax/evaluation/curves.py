@@ -92,6 +92,7 @@ def save_spread(
     *,
     x_label: str,
     y_label: str,
+    y_scale: float = 1.0,
 ) -> None:
     """Draws the mean of each group of curves and its range over the group, as PNG.
 
@@ -100,12 +101,14 @@ def save_spread(
       groups: curves by label; those of a group are compared as far as the shortest goes.
       x_label: what the horizontal axis is.
       y_label: what the vertical axis is, with its unit.
+      y_scale: factor on the values, e.g. 100 for per cent.
     """
     axes = new_axes(x_label, y_label)
     lines = itertools.product(("-", "--", ":"), palette.CURVE)
     for (label, curves), (style, colour) in zip(groups.items(), itertools.cycle(lines)):
         length = min(map(len, curves))
-        x, y = curves[0][:length, 0], np.stack([curve[:length, 1] for curve in curves])
+        x = curves[0][:length, 0]
+        y = y_scale * np.stack([curve[:length, 1] for curve in curves])
         axes.fill_between(x, y.min(0), y.max(0), color=colour, alpha=0.12, linewidth=0.0)
         axes.plot(x, y.mean(0), style, color=colour, linewidth=2.0, label=label)
     axes.set_ylim(bottom=0.0)

@@ -56,6 +56,11 @@ def interval(success: statistics.Success) -> str:
     return f"[{100 * success.low:.1f}, {100 * success.high:.1f}]"
 
 
+def spread(over: statistics.RunSpread) -> str:
+    """Formats success over training runs in per cent: "66.4 ± 5.4"."""
+    return f"{100 * over.mean:.1f} ± {100 * over.std:.1f}"
+
+
 def _by_system(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns one general table for each system."""
     header = ["maze", "success %", "95 %", "return", "decisions", "falls", "episodes"]
@@ -135,10 +140,10 @@ def _over_runs(cells: Sequence[results.Cell]) -> list[Table]:
     rows = [
         [
             *key,
-            f"{100 * spread.mean:.1f} ± {100 * spread.std:.1f}",
-            f"[{100 * spread.low:.1f}, {100 * spread.high:.1f}]",
+            spread(over),
+            f"[{100 * over.low:.1f}, {100 * over.high:.1f}]",
         ]
-        for key, spread in over_runs(cells).items()
+        for key, over in over_runs(cells).items()
     ]
     header = ["maze", "robot", "movement", "mean ± std, %", "95 % of the mean"]
     return [Table("Success over training runs", header, rows)] if rows else []

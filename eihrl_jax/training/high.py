@@ -101,7 +101,7 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
         body_radius=robot.body_radius,
     )
     return oracle_maze.OracleMaze(
-        _rooms(task, seed) if task.num_rooms else _maze(task),
+        _mazes(task, seed),
         postures.footprints(robot, bank, view)[: task.num_postures],
         view=view,
         movement=movement,
@@ -152,17 +152,14 @@ def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
     return means
 
 
-def _maze(task: high_config.Task) -> mazes.Maze:
-    return mazes.load(task.maze, num_decisions=task.num_decisions)
-
-
-def _rooms(task: high_config.Task, seed: int) -> mazes.Maze:
-    """Draws the random rooms of a run."""
-    least, greatest = task.room_sides
+def _mazes(task: high_config.Task, seed: int) -> mazes.Maze:
+    """Loads the maze of a task, or draws its random rooms."""
+    if not task.num_rooms:
+        return mazes.load(task.maze, num_decisions=task.num_decisions)
     rooms = generators.training_rooms(
         seed,
         task.num_rooms,
-        sides=(least, greatest),
+        sides=task.room_sides,
         wall_share=task.room_walls,
         num_decisions=task.num_decisions,
     )

@@ -5,8 +5,9 @@ import dataclasses
 import pytest
 
 from eihrl_jax import base, policies, presets
+from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
-from experiments import ablate_high, report, train_policies
+from experiments import _runs, ablate_high, report, train_policies
 
 
 def tiny(name, **task):
@@ -80,6 +81,27 @@ def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, tmp_path, cap
     report.main(dataclasses.replace(options, parts=("table1",)))
     assert times == {path: path.stat().st_mtime_ns for path in times}
     assert "report.html" in capsys.readouterr().out
+    with pytest.raises(base.UserError, match="was evaluated with other options"):
+        report.main(dataclasses.replace(options, parts=("table1",), episodes=4))
+
+
+def test_what_a_killed_evaluation_left_is_begun_anew(tmp_path):
+    options = evaluate_config.EvaluateConfig(
+        mazes=("u",),
+        robot=("point",),
+        movement=("oracle",),
+        high=("random",),
+        episodes=2,
+        animate="none",
+        out=tmp_path / "u",
+    )
+    left = tmp_path / "u.incomplete"
+    left.mkdir()
+    (left / "episodes.csv").write_text("half a line")
+    (cell,) = _runs.evaluated(options)
+    assert (cell.maze, cell.num_episodes) == ("u", 2)
+    assert not left.exists()
+    assert len((tmp_path / "u" / "episodes.csv").read_text().splitlines()) == 3
 
 
 def test_bad_input_is_named(tmp_path):

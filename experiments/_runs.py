@@ -1,0 +1,60 @@
+"""Trainings and evaluations of commands that can be stopped and called again: done once each."""
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable
+from typing import TypeVar
+
+from eihrl_jax import base, policies
+from eihrl_jax import config as config_lib
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import high as high_config
+from eihrl_jax.config import low as low_config
+from eihrl_jax.evaluation import evaluate, results
+
+RunT = TypeVar("RunT", low_config.LowConfig, high_config.HighConfig)
+
+
+def finish(options: RunT, train: Callable[[RunT], object]) -> None:
+    """Trains a run to its end, if that hasn't been done; `options` resume.
+
+    Raises:
+      base.UserError: it has been done with other options.
+    """
+    if not is_finished(options):
+        train(options)
+
+
+def is_finished(options: low_config.LowConfig | high_config.HighConfig) -> bool:
+    """Tells whether a run has its policy.
+
+    Raises:
+      base.UserError: it was trained with other options than it would be now.
+    """
+    if not (options.run / policies.FOLDER).exists():
+        return False
+    file = options.run / "config.json"
+    found = config_lib.from_json(type(options), file.read_text(), source=str(file))
+    if dataclasses.replace(found, run=options.run, resume=True) != options:
+        raise base.UserError(f"{options.run} was trained with other options: name another --out")
+    return True
+
+
+def evaluated(options: evaluate_config.EvaluateConfig) -> tuple[results.Cell, ...]:
+    """Returns the results of an evaluation, made if they aren't there.
+
+    Raises:
+      base.UserError: they are there, with other options.
+    """
+    if not options.out.exists():
+        # Under another name until it is complete: what a kill leaves there is begun anew.
+        partial = options.out.with_name(f"{options.out.name}.incomplete")
+        shutil.rmtree(partial, ignore_errors=True)
+        evaluate.evaluate(dataclasses.replace(options, out=partial))
+        partial.rename(options.out)
+    found = results.load(options.out / "eval.json")
+    asked = json.loads(config_lib.to_json(options))
+    if {**found.about["config"], "out": ""} != {**asked, "out": ""}:
+        raise base.UserError(f"{options.out} was evaluated with other options: name another --out")
+    return found.cells
