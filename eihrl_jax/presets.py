@@ -115,9 +115,10 @@ def high_paper() -> high_config.HighConfig:
 def high_best() -> high_config.HighConfig:
     """The high level with a memory: it plans on the map of what it has seen.
 
-    Five cells are in view at a time. Short windows give many updates in little time; a rate that
-    falls to nothing and an entropy bonus that fades let the policy settle; a discount of 0.94
-    makes it hurry.
+    Five cells are in view at a time. What hasn't been seen attracts it from the start, and a low
+    entropy bonus doesn't undo that before a goal is found. Short windows give many updates in
+    little time, a rate that falls to nothing lets the policy settle, a discount of 0.94 makes it
+    hurry.
     """
     return high_config.HighConfig(
         preset="best",
@@ -126,16 +127,16 @@ def high_best() -> high_config.HighConfig:
         learner=high_config.Learner(
             num_workers=512,
             window=8,
-            num_updates=1_000,
+            num_updates=400,
             gamma=0.94,
             optimiser="adam",
             learning_rate=5e-3,
             learning_rate_end=2e-4,
-            entropy=0.02,
+            entropy=0.004,
             entropy_end=0.001,
         ),
-        log_every=50,
-        evaluate_every=200,
+        log_every=20,
+        evaluate_every=40,
         checkpoint_every=200,
     )
 
@@ -147,6 +148,7 @@ def high_generalist() -> high_config.HighConfig:
         best,
         preset="generalist",
         task=dataclasses.replace(best.task, num_rooms=2_048),
+        learner=dataclasses.replace(best.learner, num_updates=1_000),
     )
 
 

@@ -70,7 +70,9 @@ def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
         "engines": _bench_physics.engine_deviations,
         "walking": _bench_low.walking_rate,
         "updates": _bench_low.updates_per_second,
-        "episodes": lambda: _bench_high.full_episodes_seconds(config.out / "episodes", "ant"),
+        "episodes": lambda: _bench_high.full_episodes_seconds(
+            config.out / "episodes", "best-random-0"
+        ),
     }
 
 

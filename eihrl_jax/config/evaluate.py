@@ -41,7 +41,7 @@ class EvaluateConfig:
     mazes: tuple[str, ...] = ("random", "g1", "g2", "g3")
     robot: tuple[str, ...] = ("ant",)
     movement: tuple[Literal["oracle", "full"], ...] = ("oracle", "full")
-    high: tuple[str, ...] = ("ant",)
+    high: tuple[str, ...] = ("best-random-0",)
     low: tuple[str, ...] = ()
     episodes: int = 500
     seeds: tuple[int, ...] = (0,)

@@ -29,7 +29,7 @@ class ValueGapConfig:
       out: folder of the results; must be new or empty.
     """
 
-    high: str = "ant"
+    high: str = "best-random-0"
     mazes: tuple[str, ...] = ("random", "g1")
     sigmas: tuple[float, ...] = (0.0, 0.1, 0.2, 0.28, 0.29, 0.31, 0.32, 0.4, 0.5, 0.6, 0.8, 1.0)
     reference: float = 0.3

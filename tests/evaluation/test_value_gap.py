@@ -11,7 +11,7 @@ from eihrl_jax.evaluation import value_gap
 def compared(tmp_path_factory):
     out = tmp_path_factory.mktemp("gap") / "out"
     options = gap_config.ValueGapConfig(
-        high="ant",
+        high="best-random-0",
         mazes=("g1",),
         sigmas=(0.3, 1.0),
         robots=("point",),

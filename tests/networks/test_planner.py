@@ -58,3 +58,15 @@ def test_goal_behind_a_wall_is_approached_around_it():
         {"params": params}, chart.at[:, 4, 0].set(False)
     )
     assert jnp.argmax(straight) == 0  # east
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_untrained_planner_heads_for_what_it_has_not_seen(seed):
+    """Walls all around but for a gap in the south, behind which nothing has been seen."""
+    chart = jnp.zeros((7, 7, 4), bool)
+    chart = chart.at[1, 1:6, 0].set(True).at[5, 1:6, 0].set(True)
+    chart = chart.at[1:6, 1, 0].set(True).at[1:6, 5, 0].set(True).at[5, 3, 0].set(False)
+    chart = chart.at[6, :, 3].set(True)
+    params = NETWORK.init(jax.random.key(seed), chart)
+    logits, _ = NETWORK.apply(params, chart)
+    assert jax.nn.softmax(logits)[3] > 0.5

@@ -147,3 +147,15 @@ def test_a_folder_that_is_taken_is_noticed_first(tmp_path):
     config = high_config.HighConfig(run=tmp_path, task=high_config.Task(maze="no such maze"))
     with pytest.raises(base.UserError, match="exists already"):
         high.train(config)
+
+
+@pytest.mark.slow
+def test_best_finds_the_goal_of_u_in_half_a_minute(tmp_path):
+    """What has not been seen attracts from the start: chance alone seldom gets to the goal."""
+    preset = presets.high_best()
+    learner = dataclasses.replace(preset.learner, num_updates=100)
+    task = dataclasses.replace(preset.task, maze="u")
+    run = tmp_path / "run"
+    high.train(dataclasses.replace(preset, task=task, learner=learner, run=run))
+    last = (run / "metrics.csv").read_text().splitlines()[-1].split(",")
+    assert float(last[3]) > 0.9
