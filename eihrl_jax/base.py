@@ -20,6 +20,10 @@ DIRECTIONS_XY = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 """Unit vector of each subgoal."""
 
 
+TIME_UNIT = 1_000.0
+"""Control steps in which the time of a `GoalObs` grows by one (HIGL's released code)."""
+
+
 class UserError(ValueError):
     """A user's mistake, told in one line that names the thing, the value and the limit.
 
@@ -67,6 +71,22 @@ class Environment(Protocol):
     def step(self, state: EnvState, action: Array) -> EnvState:
         """Advances one step. Does not reset: see `envs.wrappers.auto_reset`."""
         ...
+
+
+class GoalObs(struct.PyTreeNode):
+    """What a robot knows that is told where it is and where its goal is. P: its proprioception.
+
+    Attributes:
+      xy: float32 [2], the torso's position, units.
+      proprioception: float32 [P], qpos without x and y, then qvel; units, radians, per second.
+      goal_xy: float32 [2], centre of the current goal, units.
+      time: float32, control steps since the episode's start / `TIME_UNIT`.
+    """
+
+    xy: Float[Array, "2"]
+    proprioception: Float[Array, " P"]
+    goal_xy: Float[Array, "2"]
+    time: Float[Array, ""]
 
 
 class Transition(struct.PyTreeNode):

@@ -1,8 +1,8 @@
 """Final policies: parameters of one level as a small checkpoint, with what is needed to use them.
 
-A policy is a folder with `params/` (see `training.checkpoint`) and `meta.json`: which level, which
-robot, the sizes of network and view, the config, versions and steps. The shipped ones lie in
-`eihrl_jax/pretrained/<name>/<kind>`, those of a run in `<run>/policy`.
+A policy is a folder with `params/` (see `training.checkpoint`) and `meta.json`: which level (or
+that it is a whole baseline), which robot, sizes of network and view, the config, versions and
+steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run in `<run>/policy`.
 """
 
 import json
@@ -16,7 +16,9 @@ import numpy as np
 from eihrl_jax import base
 from eihrl_jax.training import checkpoint
 
-Kind = Literal["high", "low"]
+Kind = Literal["high", "low", "baseline"]
+
+_KINDS = {"high": "a high-level policy", "low": "a low-level policy", "baseline": "a baseline"}
 
 PRETRAINED = pathlib.Path(__file__).parent / "pretrained"
 """Folder of the shipped policies."""
@@ -70,7 +72,7 @@ def load(
     """
     meta = json.loads(checkpoint.read_file(path, "meta.json"))
     if meta["kind"] != kind:
-        raise base.UserError(f"{path} is a {meta['kind']}-level policy, expected {kind}-level")
+        raise base.UserError(f"{path} is {_KINDS[meta['kind']]}, expected {_KINDS[kind]}")
     if robot is not None and meta.get("robot") != robot:
         raise base.UserError(
             f"{path} is a policy of robot {meta.get('robot')!r}, expected {robot!r}"
@@ -92,8 +94,8 @@ def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
     if (path / "config.json").is_file():
         raise base.UserError(f"{path} holds no final policy yet: its training isn't finished")
     raise base.UserError(
-        f"{name} is neither a policy nor a finished run, and shipped {kind}-level policies are: "
-        + (", ".join(shipped(kind)) or "none")
+        f"{name} is neither a policy nor a finished run; what is shipped of the kind "
+        f"{kind!r}: " + (", ".join(shipped(kind)) or "nothing")
     )
 
 

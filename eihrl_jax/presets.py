@@ -2,7 +2,10 @@
 
 import dataclasses
 
+from eihrl_jax.config import baselines as baselines_config
+from eihrl_jax.config import hess as hess_config
 from eihrl_jax.config import high as high_config
+from eihrl_jax.config import higl as higl_config
 from eihrl_jax.config import low as low_config
 
 
@@ -154,3 +157,33 @@ def high_generalist() -> high_config.HighConfig:
 
 HIGH = {"best": high_best(), "paper": high_paper(), "generalist": high_generalist()}
 """Presets of `train_high`, its default first."""
+
+
+def higl() -> higl_config.HiglConfig:
+    """HIGL, as released but for what is wrong there (Kim et al. 2021)."""
+    return higl_config.HiglConfig(method="higl")
+
+
+def hrac() -> higl_config.HiglConfig:
+    """HRAC: subgoals held to what is adjacent (Zhang et al. 2020)."""
+    return higl_config.HiglConfig(method="hrac", guidance="adjacency")
+
+
+def hiro() -> higl_config.HiglConfig:
+    """HIRO: subgoals as the manager likes them (Nachum et al. 2018)."""
+    return higl_config.HiglConfig(method="hiro", guidance="none")
+
+
+def hess() -> hess_config.HessConfig:
+    """HESS, as released but for what its paper says better (Li et al. 2021)."""
+    return hess_config.HessConfig(method="hess", log_rounds=1)
+
+
+BASELINES: dict[str, baselines_config.BaselineConfig] = {
+    "droq": baselines_config.FlatConfig(method="droq"),
+    "higl": higl(),
+    "hrac": hrac(),
+    "hiro": hiro(),
+    "hess": hess(),
+}
+"""Methods of `train_baseline`, its default first."""

@@ -46,6 +46,11 @@ def init(example: Any, capacity: int) -> Replay:
     )
 
 
+def row(batch: Any) -> Any:
+    """Returns the shapes of one row of a batch, real or abstract, as `init` takes them."""
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), batch)
+
+
 def add(replay: Replay, batch: Any) -> Replay:
     """Appends a batch of rows, a pytree with leading axis N; the oldest rows make room.
 

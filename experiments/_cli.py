@@ -26,20 +26,23 @@ def run(
     config_type: type[ConfigT],
     presets: Mapping[str, ConfigT] | None = None,
     argv: Sequence[str] | None = None,
+    *,
+    option: str = "preset",
 ) -> None:
     """Parses the command line into a config and hands it to `main`; ends the process on an error.
 
     Args:
       main: what the command does.
       config_type: dataclass of the options; its docstring is the help text.
-      presets: defaults to choose from with `--preset`, the first one being used without it; where
-        given, the config has an option `preset`.
+      presets: defaults to choose from by name, the first one being used without it; each is a
+        `config_type`, and has the name as the value of `option`.
       argv: the arguments, those of the process by default.
+      option: what the user chooses with.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
         _set_compilation_cache()
-        main(_parse(config_type, presets or {}, arguments))
+        main(_parse(config_type, presets or {}, arguments, option))
     except base.UserError as error:
         _fail(str(error))
     except KeyboardInterrupt:
@@ -48,13 +51,19 @@ def run(
 
 
 def _parse(
-    config_type: type[ConfigT], presets: Mapping[str, ConfigT], arguments: list[str]
+    config_type: type[ConfigT],
+    presets: Mapping[str, ConfigT],
+    arguments: list[str],
+    option: str,
 ) -> ConfigT:
     """Parses the arguments; `--help` shows the defaults of the chosen preset."""
     messages = io.StringIO()
     parse = functools.partial(tyro.cli, config_type, args=arguments, prog=_program())
     if presets:
-        parse = functools.partial(parse, default=presets[_preset(presets, arguments)])
+        default = presets[_chosen(presets, arguments, option)]
+        parse = functools.partial(
+            tyro.cli, type(default), default=default, args=arguments, prog=_program()
+        )
     try:
         with contextlib.redirect_stderr(messages):
             return parse()
@@ -64,14 +73,14 @@ def _parse(
         raise
 
 
-def _preset(presets: Mapping[str, object], arguments: list[str]) -> str:
+def _chosen(presets: Mapping[str, object], arguments: list[str], wanted: str) -> str:
     name = next(iter(presets))
     for argument, following in itertools.pairwise([*arguments, ""]):
         option, _, value = argument.partition("=")
-        if option == "--preset":
+        if option == f"--{wanted}":
             name = value or following
     if name not in presets:
-        raise base.UserError(f"--preset {name!r} must be one of {', '.join(presets)}")
+        raise base.UserError(f"--{wanted} {name!r} must be one of {', '.join(presets)}")
     return name
 
 

@@ -23,6 +23,7 @@ class EvaluateConfig:
       robot: point, ant, swimmer or humanoid; several may be given.
       movement: oracle: the simulator moves the torso; full: the robot walks with its low level.
       high: run folders, policy folders or names of shipped policies; random: uniform directions.
+        A baseline's run folder stands for the whole baseline, which only walks.
       low: low level of each robot for full movement, like `high`; none: the robots' shipped ones.
       episodes: per maze and seed.
       seeds: of the evaluation's random numbers; each runs all episodes anew.

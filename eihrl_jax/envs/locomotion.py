@@ -333,3 +333,23 @@ def draw_pose(
         qpos = qpos.at[2].set(yaw)
     qvel = robot.qvel_noise * jax.random.normal(qvel_key, (model.nv,))
     return engine_lib.reset(qpos, qvel)
+
+
+def move(
+    engine: engine_lib.Engine,
+    physics: engine_lib.PhysicsState,
+    ctrl: Float[Array, " nu"],
+    maze: maze_lib.Maze,
+    is_running: Bool[Array, ""],
+) -> tuple[engine_lib.PhysicsState, Bool[Array, ""]]:
+    """Advances a robot in a maze by one control step; one that isn't running rests.
+
+    Returns:
+      The robot's state, and whether its simulation broke down, which leaves the state as it was.
+    """
+    near = walls.nearby(maze, physics.qpos[:2], engine.robot.num_walls)
+    stepped = engine.step(physics, jnp.where(is_running, ctrl, jnp.nan), near)
+    numbers = jnp.concatenate([stepped.qpos, stepped.qvel, ctrl])
+    is_broken = is_running & ~jnp.isfinite(numbers).all()
+    kept = jax.tree.map(lambda new, old: jnp.where(is_broken, old, new), stepped, physics)
+    return kept, is_broken

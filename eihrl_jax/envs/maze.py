@@ -20,7 +20,7 @@ from eihrl_jax import base, raster
 from eihrl_jax.envs import locomotion, low_obs, task
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import kinematics, walls
+from eihrl_jax.physics import kinematics
 
 
 class Body(struct.PyTreeNode):
@@ -138,12 +138,8 @@ class PhysicsMaze:
 
         The robot rests once the last goal is reached or its simulation has broken down.
         """
-        near = walls.nearby(subgoal.maze, body.physics.qpos[:2], self.robot.num_walls)
-        stepped = self._engine.step(body.physics, jnp.where(body.is_running, ctrl, jnp.nan), near)
-        numbers = jnp.concatenate([stepped.qpos, stepped.qvel, ctrl])
-        is_broken = body.is_running & ~jnp.isfinite(numbers).all()
-        physics = jax.tree.map(
-            lambda new, old: jnp.where(is_broken, old, new), stepped, body.physics
+        physics, is_broken = locomotion.move(
+            self._engine, body.physics, ctrl, subgoal.maze, body.is_running
         )
         nav = subgoal.nav.replace(visited=body.visited)
         nav, outcome = task.advance(self.course, nav, physics.qpos[None, :2])

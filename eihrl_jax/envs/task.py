@@ -168,19 +168,27 @@ def success(course: Course, nav: Navigation) -> Float[Array, ""]:
     return visited / _of(course.mazes.num_goals, nav.maze).astype(jnp.float32)
 
 
+def current_goal_xy(course: Course, nav: Navigation) -> Float[Array, "2"]:
+    """Returns the centre of the unvisited goal with the lowest number, units.
+
+    Once all have been visited, it is that of the last one.
+    """
+    num_goals = _of(course.mazes.num_goals, nav.maze)
+    current = jnp.minimum(jnp.argmin(nav.visited), num_goals - 1)
+    is_door = (current == 0) & (nav.door_ij[0] != NO_DOOR)
+    door_xy = maze_lib.cell_xy(nav.door_ij)
+    return jnp.where(is_door, door_xy, _of(course.goal_xy, nav.maze)[current])
+
+
 def dense_reward(course: Course, nav: Navigation, xy: Float[Array, "2"]) -> Float[Array, ""]:
     """Returns 1 / (1 + d), d the distance in units to the current goal (paper, App. D.2).
 
-    The current goal is the unvisited one with the lowest number; once all have been visited, the
-    reward is that of having arrived, 1.
+    Once all goals have been visited, the reward is that of having arrived, 1.
     """
+    distance = jnp.sqrt(((current_goal_xy(course, nav) - xy) ** 2).sum())
     current = jnp.argmin(nav.visited)
-    door_xy = maze_lib.cell_xy(nav.door_ij)
-    is_door = (current == 0) & (nav.door_ij[0] != NO_DOOR)
-    goal_xy = jnp.where(is_door, door_xy, _of(course.goal_xy, nav.maze)[current])
-    distance = jnp.sqrt(((goal_xy - xy) ** 2).sum())
-    is_present = current < _of(course.mazes.num_goals, nav.maze)
-    return jnp.where(is_present & ~nav.visited[current], 1.0 / (1.0 + distance), 1.0)
+    has_arrived = nav.visited[current] | (current >= _of(course.mazes.num_goals, nav.maze))
+    return jnp.where(has_arrived, 1.0, 1.0 / (1.0 + distance))
 
 
 def code_at(course: Course, nav: Navigation, xy: Float[Array, "*k 2"]) -> UInt8[Array, "*k"]:

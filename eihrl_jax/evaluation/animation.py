@@ -46,16 +46,16 @@ class Recording:
       maze: the maze with its door drawn.
       qpos: float [T, nq], the robot after each of its moves.
       decision: int [T], index of the decision during which each move was made.
-      direction: int [D], subgoal of each decision.
-      patch: bool [D, P, P, C], what the high level saw.
+      direction: int [D], subgoal of each decision; None for a baseline.
+      patch: bool [D, P, P, C], what the high level saw; None for a baseline.
       is_fallen: bool [T].
     """
 
     maze: maze_lib.Maze
     qpos: Float[np.ndarray, "T nq"]
     decision: Int[np.ndarray, " T"]
-    direction: Int[np.ndarray, " D"]
-    patch: Bool[np.ndarray, "D P P C"]
+    direction: Int[np.ndarray, " D"] | None
+    patch: Bool[np.ndarray, "D P P C"] | None
     is_fallen: Bool[np.ndarray, " T"]
 
 
@@ -138,8 +138,9 @@ def render(
             _paint_goals(floor, backdrop, visited[step])
         canvas = floor.copy()
         _paint(canvas, backdrop, trail, palette.TRAIL, opacity=0.75)
-        arrow = _arrow(backdrop, xy[step], int(recording.direction[decision]))
-        _paint(canvas, backdrop, arrow, palette.ARROW, opacity=0.9)
+        if recording.direction is not None:
+            arrow = _arrow(backdrop, xy[step], int(recording.direction[decision]))
+            _paint(canvas, backdrop, arrow, palette.ARROW, opacity=0.9)
         geoms = capsules(jnp.asarray(recording.qpos[step], jnp.float32))
         picture.place_robot(canvas, backdrop, geoms, reach=reach + 0.8)
         yield _with_panel(
@@ -219,22 +220,25 @@ def _with_panel(
     pen = ImageDraw.Draw(page)
     left, top = width + 4, 40
     decision = int(recording.decision[step])
-    direction = DIRECTION_NAMES[int(recording.direction[decision])]
     limit, total = int(recording.maze.num_decisions), int(recording.maze.num_goals)
     goal_colour = palette.GOAL_ACHIEVED if num_achieved == total else palette.INK
     pen.text((left, top), title, palette.INK, palette.font(18, is_bold=True))
-    for name, value, x, y, colour in (
+    numbers = [
         ("decision", f"{decision + 1} of {limit}", 0, 40, palette.INK),
         ("goals", f"{num_achieved} of {total}", 116, 40, goal_colour),
-        ("subgoal", direction, 0, 96, palette.ARROW),
-    ):
+    ]
+    if recording.direction is not None:
+        direction = DIRECTION_NAMES[int(recording.direction[decision])]
+        numbers.append(("subgoal", direction, 0, 96, palette.ARROW))
+    for name, value, x, y, colour in numbers:
         pen.text((left + x, top + y), name, palette.MUTED, palette.font(13))
         pen.text((left + x, top + y + 18), value, colour, palette.font(18, is_bold=True))
     if recording.is_fallen[step]:
         pen.text((left + 116, top + 114), "fallen", palette.ROBOT, palette.font(18, is_bold=True))
-    pen.text((left, top + 152), "what the high level sees", palette.MUTED, palette.font(13))
-    side = _PANEL_WIDTH - _MARGIN - 4
-    page.paste(_patch_picture(recording.patch[decision], side), (left, top + 172))
+    if recording.patch is not None:
+        pen.text((left, top + 152), "what the high level sees", palette.MUTED, palette.font(13))
+        side = _PANEL_WIDTH - _MARGIN - 4
+        page.paste(_patch_picture(recording.patch[decision], side), (left, top + 172))
     return np.asarray(page)
 
 

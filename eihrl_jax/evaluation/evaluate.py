@@ -5,9 +5,11 @@ import json
 import pathlib
 from collections.abc import Iterable
 
+import jax.numpy as jnp
+
 from eihrl_jax import base, config, mazes, raster, robots
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.evaluation import report, results, rollouts, systems
+from eihrl_jax.evaluation import baselines, report, results, rollouts, systems
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.training import progress as progress_lib
@@ -88,7 +90,12 @@ def _load_mazes(options: evaluate_config.EvaluateConfig) -> dict[str, mazes.Maze
 
 def _prepare(options: evaluate_config.EvaluateConfig, stacked: mazes.Maze) -> list[_Prepared]:
     """Loads all policies and builds all environments before anything runs."""
-    highs = [systems.load_high(name, greedy=options.greedy) for name in options.high]
+    peers = [name for name in options.high if baselines.is_baseline(name)]
+    if peers and "full" not in options.movement:
+        raise base.UserError(f"{peers[0]} is a baseline, which walks: it needs --movement full")
+    highs = [
+        systems.load_high(name, greedy=options.greedy) for name in options.high if name not in peers
+    ]
     prepared = []
     for i, name in enumerate(options.robot):
         robot = robots.load(name)
@@ -104,7 +111,20 @@ def _prepare(options: evaluate_config.EvaluateConfig, stacked: mazes.Maze) -> li
                     robot=robot.name, movement=movement, high=high.label, low=low
                 )
                 prepared.append(_Prepared(system, robot, envs[high.view], high.policy))
+        prepared += [_prepare_peer(options, robot, peer, stacked) for peer in peers]
     return prepared
+
+
+def _prepare_peer(
+    options: evaluate_config.EvaluateConfig,
+    robot: robot_lib.Robot,
+    name: str,
+    stacked: mazes.Maze,
+) -> _Prepared:
+    """Loads a baseline, which is both levels at once."""
+    system = results.System(robot=robot.name, movement="full", high=name, low=None)
+    env = baselines.load(name, engine_lib.make(robot, options.engine), stacked)
+    return _Prepared(system, robot, env, lambda obs, key: jnp.int32(0))
 
 
 def _envs(

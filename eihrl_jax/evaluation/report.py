@@ -123,7 +123,7 @@ def typical(rollout: rollouts.Rollout) -> animation.Recording:
     """Returns the recorded episode of median length among those that achieved most."""
     achieved = rollout.episodes.achieved[: len(rollout.recordings)]
     best = np.flatnonzero(achieved == achieved.max())
-    lengths = [len(rollout.recordings[i].direction) for i in best]
+    lengths = [int(rollout.recordings[i].decision[-1]) for i in best]
     return rollout.recordings[best[np.argsort(lengths, kind="stable")[len(best) // 2]]]
 
 

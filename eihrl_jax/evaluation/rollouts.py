@@ -54,12 +54,12 @@ class Step(struct.PyTreeNode):
     """One decision of E episodes.
 
     Attributes:
-      obs: bool [E, P, P, C], what the high level saw.
+      obs: bool [E, P, P, C], what the high level saw; None where there is none of ours.
       action: int32 [E].
       trace: the way, with leading axis E.
     """
 
-    obs: Bool[Array, "E P P C"]
+    obs: Bool[Array, "E P P C"] | None
     action: Int[Array, " E"]
     trace: hierarchy.Trace
 
@@ -297,12 +297,13 @@ def _recording(
     steps = [jax.tree.map(lambda leaf: leaf[i], step) for step in history[:num_decisions]]
     is_running = np.concatenate([step.trace.is_running for step in steps])
     decision = np.repeat(np.arange(num_decisions), len(steps[0].trace.is_running))
+    is_ours = steps[0].obs is not None
     return animation.Recording(
         maze=maze,
         qpos=np.concatenate([step.trace.qpos for step in steps])[is_running],
         decision=decision[is_running],
-        direction=np.array([step.action for step in steps]),
-        patch=np.array([step.obs for step in steps]),
+        direction=np.array([step.action for step in steps]) if is_ours else None,
+        patch=np.array([step.obs for step in steps]) if is_ours else None,
         is_fallen=np.concatenate([step.trace.is_fallen for step in steps])[is_running],
     )
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import pathlib
 from typing import Any
 
 import jax
@@ -15,7 +14,7 @@ from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import low_obs, maze, oracle_maze, task
-from eihrl_jax.evaluation import rollouts
+from eihrl_jax.evaluation import checked, rollouts
 from eihrl_jax.networks import actor_critic, droq
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
@@ -91,11 +90,11 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
         return HighLevel(name, _random_direction, raster.View())
     path = policies.find(name, "high")
     params, meta = policies.load(path, kind="high")
-    view = raster.View(**_entry(meta, "view", path))
-    sizes = json.dumps(_entry(meta, "network", path))
+    view = raster.View(**checked.entry(meta, "view", path))
+    sizes = json.dumps(checked.entry(meta, "network", path))
     network = actor_critic.make(config.from_json(high_config.Network, sizes, source=str(path)))
     obs = jnp.zeros(view.obs_shape, bool)
-    _check_shapes(params, jax.eval_shape(network.init, jax.random.key(0), obs), path)
+    checked.shapes(params, jax.eval_shape(network.init, jax.random.key(0), obs), path)
 
     def policy(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
         return peg_a2c.act(network, params, obs, key, deterministic=greedy)
@@ -115,10 +114,12 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
     """
     path = policies.find(name, "low")
     params, meta = policies.load(path, kind="low", robot=robot.name)
-    options = low_config.LowInput(**_entry(meta, "low_input", path))
-    actor = droq.Actor(_entry(meta, "num_actions", path), tuple(_entry(meta, "hidden", path)))
-    features = jnp.zeros((1, _entry(meta, "num_features", path)))
-    _check_shapes(params, jax.eval_shape(actor.init, jax.random.key(0), features)["params"], path)
+    options = low_config.LowInput(**checked.entry(meta, "low_input", path))
+    actor = droq.Actor(
+        checked.entry(meta, "num_actions", path), tuple(checked.entry(meta, "hidden", path))
+    )
+    features = jnp.zeros((1, checked.entry(meta, "num_features", path)))
+    checked.shapes(params, jax.eval_shape(actor.init, jax.random.key(0), features)["params"], path)
 
     def policy(obs: low_obs.LowObs, key: Key[Array, ""]) -> Float[Array, " nu"]:
         del key
@@ -169,22 +170,3 @@ def _random_direction(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
     """Chooses any direction, whatever it sees."""
     del obs
     return jax.random.randint(key, (), 0, base.NUM_DIRECTIONS)
-
-
-def _entry(meta: dict[str, Any], name: str, path: pathlib.Path) -> Any:
-    """Returns an entry of a policy's meta.json."""
-    if name not in meta:
-        raise base.UserError(f"{path}: meta.json lacks {name!r}")
-    return meta[name]
-
-
-def _check_shapes(params: Any, expected: Any, path: pathlib.Path) -> None:
-    """Checks that parameters are those of the network that meta.json describes."""
-    found = {jax.tree_util.keystr(k): v.shape for k, v in jax.tree.leaves_with_path(params)}
-    wanted = {jax.tree_util.keystr(k): v.shape for k, v in jax.tree.leaves_with_path(expected)}
-    for name in sorted(found.keys() | wanted.keys()):
-        if found.get(name) != wanted.get(name):
-            raise base.UserError(
-                f"{path}: parameter {name} has shape {found.get(name)}, "
-                f"expected {wanted.get(name)} for the network of its meta.json"
-            )

@@ -1,13 +1,11 @@
 """Training of the high level: PEG-A2C in a maze with oracle movement (paper, Sec. 3.2 and 4.1)."""
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from eihrl_jax import base, mazes, policies, postures, raster, robots
 from eihrl_jax.agents import peg_a2c
@@ -16,6 +14,7 @@ from eihrl_jax.config import high as high_config
 from eihrl_jax.envs import oracle_maze, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.networks import actor_critic
+from eihrl_jax.training import metrics as metrics_lib
 from eihrl_jax.training import parallel, run_folder, subgoals, versions
 from eihrl_jax.training import progress as progress_lib
 
@@ -141,15 +140,8 @@ def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
     Returns:
       Means over the episodes that ended, NaN where none did, and means over the updates.
     """
-    totals = {name: float(np.sum(values)) for name, values in metrics.items()}
-    episodes = totals.pop("episodes")
-    del totals["decisions"]
-    num_updates = np.size(metrics["episodes"])
-    means = {}
-    for name, total in sorted(totals.items(), reverse=True):
-        count = episodes if name.startswith("sum_") else num_updates
-        means[name.removeprefix("sum_")] = total / count if count else math.nan
-    return means
+    counted = {name: values for name, values in metrics.items() if name != "decisions"}
+    return metrics_lib.summarise(counted)
 
 
 def _mazes(task: high_config.Task, seed: int) -> mazes.Maze:

@@ -77,10 +77,9 @@ class LowTrainer:
         envs = jax.vmap(self._env.reset)(jax.random.split(env_key, self.config.num_envs))
         ctrl = jnp.zeros((self.config.num_envs, self._num_actions))
         example = jax.eval_shape(self._walk, envs, ctrl)[1]
-        one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), example)
         return LowState(
             learner=self._learner.init(learner_key),
-            memory=replay.init(one, self.config.capacity),
+            memory=replay.init(replay.row(example), self.config.capacity),
             envs=envs,
             key=key,
             iteration=jnp.int32(0),

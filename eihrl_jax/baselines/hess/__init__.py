@@ -1,0 +1,4 @@
+"""HESS: a manager explores a learned space of subgoals, a controller goes where it is told.
+
+Li et al. 2021, Active hierarchical exploration with stable subgoal representation learning.
+"""

@@ -1,0 +1,128 @@
+"""HESS's active exploration: subgoals that are new, and that can be reached (Li et al. 2021).
+
+The subgoal space is hashed into squares. The novelty of a square counts the visits to it and to
+what came after it (Sec. 3.2); its potential tells how badly the controller got there (Sec. 3.3).
+"""
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax.config import hess as config_lib
+
+SIDE = 128
+"""Squares along each axis; what lies beyond counts for the outermost ones."""
+
+
+class ExplorationState(struct.PyTreeNode):
+    """What is known about the squares of the subgoal space.
+
+    Attributes:
+      visits: float32 [SIDE, SIDE], states that lay in each.
+      novelty: float32 [SIDE, SIDE], mean discounted visits from there on; small where it is new.
+      misses: float32 [SIDE, SIDE], sum of the distances by which subgoals there were missed.
+    """
+
+    visits: Float[Array, "S S"]
+    novelty: Float[Array, "S S"]
+    misses: Float[Array, "S S"]
+
+
+def init() -> ExplorationState:
+    """Returns the state before anything was visited."""
+    zeros = jnp.zeros((SIDE, SIDE))
+    return ExplorationState(visits=zeros, novelty=jnp.ones((SIDE, SIDE)), misses=zeros)
+
+
+def visit(
+    state: ExplorationState,
+    place: Float[Array, "*B 2"],
+    is_valid: Bool[Array, "*B"],
+    side: float,
+) -> ExplorationState:
+    """Counts visited states; `side` is that of a square."""
+    i, j = square(place, side)
+    return state.replace(visits=state.visits.at[i, j].add(is_valid.astype(jnp.float32)))
+
+
+def miss(
+    state: ExplorationState,
+    subgoal: Float[Array, "*B 2"],
+    reached: Float[Array, "*B 2"],
+    is_valid: Bool[Array, "*B"],
+    side: float,
+) -> ExplorationState:
+    """Adds by how much subgoals were missed at the end of their periods."""
+    distance = jnp.sqrt(jnp.square(subgoal - reached).sum(-1))
+    i, j = square(subgoal, side)
+    return state.replace(misses=state.misses.at[i, j].add(jnp.where(is_valid, distance, 0.0)))
+
+
+def look_ahead(
+    state: ExplorationState,
+    place: Float[Array, "E J 2"],
+    is_valid: Bool[Array, "E J"],
+    options: config_lib.Exploration,
+) -> ExplorationState:
+    """Computes every square's novelty anew from all stored episodes.
+
+    N_j = n(square of s_j) + gamma N_{j+1} along the beginnings of an episode's periods; a square's
+    novelty is (sum of N + 1) / (number + 1) over those that lie in it.
+
+    Args:
+      state: the counts so far.
+      place: where periods began, in the order of time.
+      is_valid: whether there was such a period.
+      options: discount and side of a square.
+    """
+    i, j = square(place, options.square)
+    counts = jnp.where(is_valid, state.visits[i, j], 0.0)
+
+    def back(ahead: Float[Array, " E"], count: Float[Array, " E"]) -> tuple[Array, Array]:
+        total = count + options.gamma * ahead
+        return total, total
+
+    _, totals = jax.lax.scan(back, jnp.zeros(place.shape[0]), counts.T, reverse=True)
+    weight = is_valid.astype(jnp.float32)
+    zeros = jnp.zeros((SIDE, SIDE))
+    sums = zeros.at[i, j].add(weight * totals.T)
+    return state.replace(novelty=(sums + 1.0) / (zeros.at[i, j].add(weight) + 1.0))
+
+
+def select(
+    state: ExplorationState,
+    here: Float[Array, "2"],
+    candidates: Float[Array, "C 2"],
+    has_potential: Bool[Array, ""],
+    options: config_lib.Exploration,
+    key: Key[Array, ""],
+) -> Float[Array, "2"]:
+    """Picks the most promising of some visited places within reach.
+
+    Args:
+      state: what is known about the squares.
+      here: where the robot is in the subgoal space.
+      candidates: places that have been visited.
+      has_potential: whether places that were missed are avoided already.
+      options: reach and weights.
+      key: consumed, to choose where nothing is within reach.
+
+    Returns:
+      The place of the least novelty count plus weighted misses; any, if none is within reach.
+    """
+    distance = jnp.sqrt(jnp.square(candidates - here[None]).sum(-1))
+    is_near = (distance > 0.0) & (distance < options.reach)
+    i, j = square(candidates, options.square)
+    weight = jnp.where(has_potential, options.miss_weight, 0.0)
+    cost = state.novelty[i, j] + weight * state.misses[i, j]
+    any_place = jax.random.randint(key, (), 0, candidates.shape[0])
+    best = jnp.argmin(jnp.where(is_near, cost, jnp.inf))
+    return candidates[jnp.where(is_near.any(), best, any_place)]
+
+
+def square(place: Float[Array, "*B 2"], side: float) -> tuple[Int[Array, "*B"], Int[Array, "*B"]]:
+    """Returns the numbers of the squares that places lie in."""
+    index = jnp.floor(place / side).astype(jnp.int32) + SIDE // 2
+    index = jnp.clip(index, 0, SIDE - 1)
+    return index[..., 0], index[..., 1]

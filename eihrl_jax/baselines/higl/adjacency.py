@@ -1,0 +1,152 @@
+"""HRAC's adjacency network: places that are near in control steps get near embeddings.
+
+Zhang et al. 2020, Generating adjacency-constrained subgoals in hierarchical reinforcement learning,
+Sec. 4. Which places were adjacent on the robot's way is kept in a table of unit squares. Positions
+are relative to the maze's centre, in units.
+"""
+
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax.config import higl as config_lib
+from eihrl_jax.networks import mlp
+
+
+class AdjacencyState(struct.PyTreeNode):
+    """What has been learned about distances. S: unit squares of the maze.
+
+    Attributes:
+      params: of the network.
+      opt_state: of Adam.
+      table: bool [S, S], squares between which the robot went in few steps; symmetric.
+    """
+
+    params: Any
+    opt_state: optax.OptState
+    table: Bool[Array, "S S"]
+
+
+class AdjacencyNetwork:
+    """The functions of the network and its table; holds no state."""
+
+    def __init__(self, num_rows: int, num_columns: int, options: config_lib.Adjacency):
+        """Builds network and optimiser.
+
+        Args:
+          num_rows: unit squares of the maze from north to south.
+          num_columns: from west to east.
+          options: sizes and numbers.
+        """
+        self.options = options
+        self._shape = num_rows, num_columns
+        self._network = mlp.Mlp(options.hidden, options.num_features)
+        self._optimizer = optax.adam(options.learning_rate)
+
+    def init(self, key: Key[Array, ""]) -> AdjacencyState:
+        """Draws the parameters; nothing is adjacent yet."""
+        params = self._network.init(key, jnp.zeros(2))["params"]
+        size = self._shape[0] * self._shape[1]
+        return AdjacencyState(
+            params=params,
+            opt_state=self._optimizer.init(params),
+            table=jnp.zeros((size, size), bool),
+        )
+
+    def mark(
+        self,
+        state: AdjacencyState,
+        path_xy: Float[Array, "T N 2"],
+        is_valid: Bool[Array, "T N"],
+        is_end: Bool[Array, "T N"],
+    ) -> AdjacencyState:
+        """Marks what is adjacent on the ways of N robots.
+
+        Args:
+          state: the table so far.
+          path_xy: positions after T control steps in a row, units.
+          is_valid: whether the robot was on its way then.
+          is_end: whether its episode ended there; what follows is another way.
+        """
+        square = self._square(path_xy)
+        ends = (is_end & is_valid).astype(jnp.int32)
+        way = jnp.cumsum(ends, axis=0) - ends
+        table = state.table
+        for apart in range(min(self.options.steps, path_xy.shape[0] - 1) + 1):
+            end = path_xy.shape[0] - apart
+            both = is_valid[apart:] & is_valid[:end] & (way[apart:] == way[:end])
+            # What isn't valid is written beyond the table, that is, nowhere.
+            first = jnp.where(both, square[:end], table.shape[0])
+            table = table.at[first, square[apart:]].set(True, mode="drop")
+            second = jnp.where(both, square[apart:], table.shape[0])
+            table = table.at[second, square[:end]].set(True, mode="drop")
+        return state.replace(table=table)
+
+    def fit(
+        self, state: AdjacencyState, key: Key[Array, ""]
+    ) -> tuple[AdjacencyState, Float[Array, ""]]:
+        """Fits the network to the pairs of visited squares; returns the last loss too."""
+        is_visited = jnp.diagonal(state.table)
+        num = is_visited.sum(dtype=jnp.int32)
+        squares = jnp.nonzero(is_visited, size=is_visited.shape[0], fill_value=0)[0]
+        squares = squares.astype(jnp.int32)
+        pairs = num.astype(jnp.float32) ** 2
+        wanted = self.options.epochs * pairs / self.options.batch_size
+        num_updates = jnp.minimum(wanted, self.options.max_updates).astype(jnp.int32)
+
+        def body(i: Int[Array, ""], carry: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
+            params, opt_state, _ = carry
+            draw = jax.random.fold_in(key, i)
+            pair = squares[jax.random.randint(draw, (2, self.options.batch_size), 0, num)]
+            is_near = state.table[pair[0], pair[1]]
+            loss, grads = jax.value_and_grad(self._loss)(params, self._centre(pair), is_near)
+            with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
+                updates, opt_state = self._optimizer.update(grads, opt_state)
+            return optax.apply_updates(params, updates), opt_state, loss
+
+        start = state.params, state.opt_state, jnp.float32(0.0)
+        params, opt_state, loss = jax.lax.fori_loop(0, num_updates, body, start)
+        return state.replace(params=params, opt_state=opt_state), loss
+
+    def excess(
+        self, params: Any, from_xy: Float[Array, "B 2"], to_xy: Float[Array, "B 2"]
+    ) -> Float[Array, " B"]:
+        """Returns by how much embeddings are farther apart than those of adjacent places.
+
+        The limit lies halfway between `near` and `far`, as in HRAC's released code.
+        """
+        limit = (self.options.near + self.options.far) / 2.0
+        return jnp.maximum(self._distance(params, jnp.stack([from_xy, to_xy])) - limit, 0.0)
+
+    def _loss(
+        self, params: Any, pair_xy: Float[Array, "2 B 2"], is_near: Bool[Array, " B"]
+    ) -> Float[Array, ""]:
+        """Returns the contrastive loss of pairs of places."""
+        distance = self._distance(params, pair_xy)
+        near = jnp.maximum(distance - self.options.near, 0.0)
+        far = jnp.maximum(self.options.far - distance, 0.0)
+        return jnp.where(is_near, near, far).mean()
+
+    def _distance(self, params: Any, pair_xy: Float[Array, "2 B 2"]) -> Float[Array, " B"]:
+        features = cast(Array, self._network.apply({"params": params}, pair_xy))
+        # The square root has no slope at zero.
+        return jnp.sqrt(jnp.square(features[0] - features[1]).sum(-1) + 1e-12)
+
+    def _square(self, xy: Float[Array, "*T 2"]) -> Int[Array, "*T"]:
+        """Returns the numbers of the unit squares that positions are in."""
+        num_rows, num_columns = self._shape
+        i = jnp.floor(0.5 * num_rows - xy[..., 1]).astype(jnp.int32)
+        j = jnp.floor(0.5 * num_columns + xy[..., 0]).astype(jnp.int32)
+        return jnp.clip(i, 0, num_rows - 1) * num_columns + jnp.clip(j, 0, num_columns - 1)
+
+    def _centre(self, square: Int[Array, "*B"]) -> Float[Array, "*B 2"]:
+        """Returns the centres of unit squares."""
+        num_rows, num_columns = self._shape
+        i, j = square // num_columns, square % num_columns
+        x = j.astype(jnp.float32) + 0.5 - 0.5 * num_columns
+        y = 0.5 * num_rows - i.astype(jnp.float32) - 0.5
+        return jnp.stack([x, y], -1)

@@ -1,0 +1,122 @@
+"""HIGL's planner: a graph of landmarks, measured by the controller's values, leads to the goal.
+
+Kim et al. 2021, Landmark-guided subgoal generation in hierarchical reinforcement learning, Sec. 4.
+"""
+
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float
+
+from eihrl_jax.baselines import td3
+from eihrl_jax.baselines.higl import novelty
+from eihrl_jax.config import higl as config_lib
+from eihrl_jax.ops import landmarks as ops
+
+
+class Graph(struct.PyTreeNode):
+    """Landmarks and the ways between them. L landmarks.
+
+    Attributes:
+      obs: float32 [L, F], what was seen there; its first two entries are x and y, units.
+      is_valid: bool [L], whether it is one.
+      paths: float32 [L, L], values of the best ways, about minus their lengths.
+    """
+
+    obs: Float[Array, "L F"]
+    is_valid: Bool[Array, " L"]
+    paths: Float[Array, "L L"]
+
+
+class Planner:
+    """The functions of the planner; holds no state."""
+
+    def __init__(self, controller: td3.Td3, options: config_lib.Landmarks):
+        """Takes what measures distances.
+
+        Args:
+          controller: the lower level.
+          options: sizes and numbers.
+        """
+        self._controller = controller
+        self._options = options
+
+    def graph(
+        self, controller: td3.Td3State, pool: Float[Array, "P F"], novel: novelty.NoveltyState
+    ) -> Graph:
+        """Chooses landmarks and finds the ways between them.
+
+        Args:
+          controller: the lower level as it is now.
+          pool: what was seen in stored steps.
+          novel: the most novel places.
+        """
+        spread = ops.farthest_points(pool[:, :2], self._options.num_coverage)
+        obs = jnp.concatenate([pool[spread], novel.obs])
+        is_valid = jnp.concatenate(
+            [jnp.ones(self._options.num_coverage, bool), jnp.isfinite(novel.score)]
+        )
+        targets = jnp.broadcast_to(obs[None, :, :2], (obs.shape[0], *obs[:, :2].shape))
+        values = self._values(controller, obs, targets)
+        both = is_valid[:, None] & is_valid[None]
+        values = jnp.where(both, values, ops.UNREACHABLE)
+        edges = ops.cut_edges(values, self._options.cutoff, jnp.arange(obs.shape[0]))
+        paths = ops.soft_paths(edges, self._options.heat, self._options.rounds)
+        return Graph(obs=obs, is_valid=is_valid, paths=paths)
+
+    def plan(
+        self,
+        controller: td3.Td3State,
+        graph: Graph,
+        obs: Float[Array, "B F"],
+        goal_xy: Float[Array, "B 2"],
+    ) -> Float[Array, "B 2"]:
+        """Returns where to go from each place on the way to its goal: a landmark, or the goal.
+
+        Args:
+          controller: the lower level as it is now.
+          graph: the landmarks.
+          obs: what is seen at the places.
+          goal_xy: each place's goal, units.
+        """
+        num_places, num_landmarks = obs.shape[0], graph.obs.shape[0]
+        landmark_xy = graph.obs[:, :2]
+        to_goal = self._values(
+            controller, graph.obs, jnp.broadcast_to(goal_xy[None], (num_landmarks, num_places, 2))
+        )
+        to_goal = jnp.where(graph.is_valid[:, None], to_goal, ops.UNREACHABLE)
+        to_goal = ops.cut_edges(to_goal, self._options.cutoff)
+        ways = ops.soft_join(graph.paths, to_goal, self._options.heat).T
+        targets = jnp.concatenate(
+            [
+                jnp.broadcast_to(landmark_xy[None], (num_places, num_landmarks, 2)),
+                goal_xy[:, None],
+            ],
+            axis=1,
+        )
+        first = self._values(controller, obs, targets)
+        cut = first + jnp.where(first < self._options.cutoff, ops.UNREACHABLE, 0.0)
+        score = jnp.where(graph.is_valid[None], cut[:, :-1] + ways, -jnp.inf)
+        chosen = landmark_xy[jnp.argmax(score, axis=1)]
+        is_near = first[:, -1] > self._options.near
+        return jnp.where(is_near[:, None], goal_xy, chosen)
+
+    def _values(
+        self,
+        controller: td3.Td3State,
+        obs: Float[Array, "B F"],
+        target_xy: Float[Array, "B T 2"],
+    ) -> Float[Array, "B T"]:
+        """Returns the value of walking from each place to each of its targets, at most 0."""
+        left = target_xy - obs[:, None, :2]
+        seen = jnp.broadcast_to(obs[:, None], (*left.shape[:2], obs.shape[-1]))
+        features = controller_features(seen, left)
+        action = self._controller.act(controller.actor_params, features)
+        values = self._controller.values(controller.critic_params, features, action)
+        return jnp.minimum(values.min(0), 0.0)
+
+
+def controller_features(
+    seen: Float[Array, "*B F"], left: Float[Array, "*B 2"]
+) -> Float[Array, "*B F"]:
+    """Returns the controller's input: the displacement left takes the place of x and y."""
+    return jnp.concatenate([seen[..., 2:], left], axis=-1)

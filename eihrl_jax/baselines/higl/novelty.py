@@ -1,0 +1,117 @@
+"""HIGL's novelty: how badly a network predicts another one, and the places where it was worst.
+
+Burda et al. 2019, Exploration by random network distillation; Kim et al. 2021, Landmark-guided
+subgoal generation in hierarchical reinforcement learning, Sec. 4.2.
+"""
+
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+from jaxtyping import Array, Bool, Float, Key
+
+from eihrl_jax.config import higl as config_lib
+from eihrl_jax.networks import mlp
+
+NUM_FEATURES = 128
+"""Outputs of both networks."""
+
+
+class NoveltyState(struct.PyTreeNode):
+    """The networks, and the M most novel places. F: size of what is seen.
+
+    Attributes:
+      target_params: of the network that is predicted, never learned.
+      params: of the one that predicts.
+      opt_state: of Adam.
+      obs: float32 [M, F], what was seen at the places.
+      xy: float32 [M, 2], where they are, units.
+      score: float32 [M], how novel they were when they were visited; -inf: no place yet.
+    """
+
+    target_params: Any
+    params: Any
+    opt_state: optax.OptState
+    obs: Float[Array, "M F"]
+    xy: Float[Array, "M 2"]
+    score: Float[Array, " M"]
+
+
+class Novelty:
+    """The functions of networks and queue; holds no state."""
+
+    def __init__(self, num_features: int, options: config_lib.Landmarks):
+        """Builds network and optimiser.
+
+        Args:
+          num_features: size F of what is seen.
+          options: sizes and numbers.
+        """
+        self._num_features = num_features
+        self._options = options
+        self._network = mlp.Mlp(options.novelty_hidden, NUM_FEATURES)
+        self._optimizer = optax.adam(options.novelty_rate)
+
+    def init(self, key: Key[Array, ""]) -> NoveltyState:
+        """Draws both networks; there is no place yet."""
+        target_key, own_key = jax.random.split(key)
+        obs, num = jnp.zeros(self._num_features), self._options.num_novel
+        params = self._network.init(own_key, obs)["params"]
+        return NoveltyState(
+            target_params=self._network.init(target_key, obs)["params"],
+            params=params,
+            opt_state=self._optimizer.init(params),
+            obs=jnp.zeros((num, self._num_features)),
+            xy=jnp.zeros((num, 2)),
+            score=jnp.full(num, -jnp.inf, jnp.float32),
+        )
+
+    def visit(
+        self,
+        state: NoveltyState,
+        obs: Float[Array, "V F"],
+        xy: Float[Array, "V 2"],
+        is_valid: Bool[Array, " V"],
+    ) -> NoveltyState:
+        """Puts visited places, the latest last, among the most novel ones.
+
+        A place that a later one comes nearer to than `merge_radius` is dropped: it is no longer as
+        novel as it was.
+        """
+        score = jnp.where(is_valid, self._errors(state.params, state.target_params, obs), -jnp.inf)
+        every_xy = jnp.concatenate([state.xy, xy])
+        score = jnp.concatenate([state.score, score])
+        square = jnp.square(every_xy[:, None] - xy[None]).sum(-1)
+        # Visits come after the places in the queue, and after each other.
+        order = jnp.arange(every_xy.shape[0])[:, None]
+        is_later = state.xy.shape[0] + jnp.arange(xy.shape[0])[None] > order
+        is_close = (square < self._options.merge_radius**2) & is_later & is_valid[None]
+        score = jnp.where(is_close.any(1), -jnp.inf, score)
+        best, index = jax.lax.top_k(score, state.score.shape[0])
+        return state.replace(
+            obs=jnp.concatenate([state.obs, obs])[index], xy=every_xy[index], score=best
+        )
+
+    def update(
+        self, state: NoveltyState, obs: Float[Array, "B F"]
+    ) -> tuple[NoveltyState, Float[Array, ""]]:
+        """Learns to predict what was seen; returns the loss too."""
+
+        def loss_fn(params: Any) -> Float[Array, ""]:
+            return self._errors(params, state.target_params, obs).mean()
+
+        loss, grads = jax.value_and_grad(loss_fn)(state.params)
+        with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
+            updates, opt_state = self._optimizer.update(grads, state.opt_state)
+        params = optax.apply_updates(state.params, updates)
+        return state.replace(params=params, opt_state=opt_state), loss
+
+    def _errors(
+        self, params: Any, target_params: Any, obs: Float[Array, "B F"]
+    ) -> Float[Array, " B"]:
+        """Returns half the squared distance of prediction and target, the novelty."""
+        found = cast(Array, self._network.apply({"params": params}, obs))
+        wanted = cast(Array, self._network.apply({"params": target_params}, obs))
+        return 0.5 * jnp.square(found - wanted).sum(-1)

@@ -1,0 +1,127 @@
+"""Walking of two levels: an upper one names a subgoal every k steps, a lower one acts in between.
+
+All robots begin their periods together. One whose episode ends within a period rests until it is
+over; `renew` then begins a new episode.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Key
+
+from eihrl_jax import base
+
+Choose = Callable[[base.GoalObs, Bool[Array, ""], Key[Array, ""]], Float[Array, " G"]]
+"""The upper level: from what is seen, whether the episode begins, and a key to a subgoal."""
+
+Act = Callable[[base.GoalObs, Float[Array, " G"], Key[Array, ""]], Float[Array, " nu"]]
+"""The lower level: from what is seen, the subgoal as it is now, and a key to an action."""
+
+Move = Callable[[Float[Array, " G"], base.GoalObs, base.GoalObs], Float[Array, " G"]]
+"""What a subgoal becomes after a step, given what was seen before and after it."""
+
+
+class Period(struct.PyTreeNode):
+    """One period; leading axes [k, N], k steps of N robots.
+
+    Attributes:
+      obs: before each step.
+      subgoal: float32 [k, N, G], as it was then.
+      action: float32 [k, N, nu], what the lower level did.
+      reward: float32 [k, N], of the task.
+      is_running: bool [k, N], whether the episode went on through the step; else it doesn't count.
+      terminated: bool [k, N], whether the episode ended for good with it.
+      truncated: bool [k, N], whether its time was up after it.
+      next_obs: after each step.
+      metrics: what the environment measures, after each step.
+    """
+
+    obs: base.GoalObs
+    subgoal: Float[Array, "k N G"]
+    action: Float[Array, "k N nu"]
+    reward: Float[Array, "k N"]
+    is_running: Bool[Array, "k N"]
+    terminated: Bool[Array, "k N"]
+    truncated: Bool[Array, "k N"]
+    next_obs: base.GoalObs
+    metrics: dict[str, Float[Array, "k N"]]
+
+
+def walk(
+    env: base.Environment,
+    envs: base.EnvState,
+    num_steps: int,
+    choose: Choose,
+    act: Act,
+    move: Move,
+    key: Key[Array, ""],
+    *,
+    reach: float = 1.0,
+) -> tuple[base.EnvState, Period]:
+    """Walks one period.
+
+    Args:
+      env: where; its `step` rests where the episode is over.
+      envs: states with leading axis N.
+      num_steps: k.
+      choose: the upper level.
+      act: the lower level.
+      move: what becomes of a subgoal.
+      key: consumed.
+      reach: the action that stands for a control of 1.
+
+    Returns:
+      The states after it, and what happened.
+    """
+    num_envs = envs.reward.shape[0]
+    choose_key, act_key = jax.random.split(key)
+    choose_keys = jax.random.split(choose_key, num_envs)
+    subgoal = jax.vmap(choose)(envs.obs, envs.obs.time == 0.0, choose_keys)
+
+    def body(
+        carry: tuple[base.EnvState, Array], step_key: Key[Array, ""]
+    ) -> tuple[tuple[base.EnvState, Array], Period]:
+        envs, subgoal = carry
+        action = jax.vmap(act)(envs.obs, subgoal, jax.random.split(step_key, num_envs))
+        stepped = jax.vmap(env.step)(envs, action / reach)
+        period = Period(
+            obs=envs.obs,
+            subgoal=subgoal,
+            action=action,
+            reward=stepped.reward,
+            is_running=~(envs.terminated | envs.truncated),
+            terminated=stepped.terminated,
+            truncated=stepped.truncated,
+            next_obs=stepped.final_obs,
+            metrics=stepped.metrics,
+        )
+        return (stepped, jax.vmap(move)(subgoal, envs.obs, stepped.final_obs)), period
+
+    (envs, _), period = jax.lax.scan(body, (envs, subgoal), jax.random.split(act_key, num_steps))
+    return envs, period
+
+
+def summarise(period: Period) -> dict[str, Float[Array, ""]]:
+    """Returns the metrics of the episodes that ended, see `sum_ends`; leading axes any."""
+    is_end = period.is_running & (period.terminated | period.truncated)
+    return sum_ends(is_end, period.metrics)
+
+
+def sum_ends(
+    is_end: Bool[Array, "*N"], metrics: dict[str, Float[Array, "*N"]]
+) -> dict[str, Float[Array, ""]]:
+    """Returns sums of metrics over the ends of episodes, as `sum_<name>`, and their number."""
+    sums = {f"sum_{name}": jnp.where(is_end, each, 0.0).sum() for name, each in metrics.items()}
+    return sums | {"episodes": is_end.sum(dtype=jnp.float32)}
+
+
+def renew(env: base.Environment, envs: base.EnvState, is_over: Bool[Array, " N"]) -> base.EnvState:
+    """Begins a new episode, drawn anew, where `is_over`."""
+
+    def renew_one(state: base.EnvState, is_over: Bool[Array, ""]) -> base.EnvState:
+        fresh = env.reset(state.key)
+        return jax.tree.map(lambda new, old: jnp.where(is_over, new, old), fresh, state)
+
+    return jax.vmap(renew_one)(envs, is_over)

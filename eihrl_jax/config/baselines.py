@@ -1,0 +1,96 @@
+"""Options of the baselines: the arena that all of them share, and those of flat DroQ."""
+
+import dataclasses
+import pathlib
+from typing import Literal
+
+from eihrl_jax.config import checks
+from eihrl_jax.config import low as low_config
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class BaselineConfig:
+    """What all baselines share: the arena and the run around them.
+
+    Attributes:
+      method: name of the method that the defaults came from.
+      seed: of every random number of the run.
+      run: run folder, made by the run.
+      resume: continue the run that the folder holds.
+      maze: name of a maze or path of a maze file.
+      reward: sparse pays 1 per goal region, dense 1 / (1 + distance) per control step (paper, D).
+      num_decisions: time limit in our subgoals; none: the maze's own (paper, Table 3 over 25).
+      robot: that walks.
+      engine: "mujoco" for the C engine on the processor, "mjx" for JAX on an accelerator.
+      num_envs: robots that walk at the same time.
+      num_steps: control steps of all environments together, after which the run ends with the row
+        of metrics that it is in.
+      log_rounds: rounds of walking and learning per row of metrics.
+      evaluate_every: rows of metrics between evaluations.
+      checkpoint_every: rows of metrics between checkpoints.
+      num_eval_episodes: episodes per evaluation, without exploration.
+    """
+
+    method: str = "droq"
+    seed: int = 0
+    run: pathlib.Path = pathlib.Path("runs/baseline")
+    resume: bool = False
+    maze: str = "random"
+    reward: Literal["sparse", "dense"] = "sparse"
+    num_decisions: int | None = None
+    robot: str = "ant"
+    engine: Literal["mujoco", "mjx"] = "mujoco"
+    num_envs: int = 10
+    num_steps: int = 1_000_000
+    log_rounds: int = 10
+    evaluate_every: int = 4
+    checkpoint_every: int = 20
+    num_eval_episodes: int = 50
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FlatConfig(BaselineConfig):
+    """Flat DroQ: one level, from where the robot and its goal are to its controls.
+
+    Attributes:
+      warmup_steps: first control steps of all environments, with random controls.
+      iterations_per_round: control steps of each environment per round.
+      updates_per_step: critic updates per control step.
+      capacity: transitions that the replay memory holds, a multiple of `num_envs`.
+      learner: hyper-parameters of DroQ.
+    """
+
+    warmup_steps: int = 5_000
+    iterations_per_round: int = 10
+    updates_per_step: int = 20
+    capacity: int = 1_000_000
+    learner: low_config.Droq = dataclasses.field(default_factory=low_config.Droq)
+
+    def __post_init__(self) -> None:
+        """Checks ranges, and how the options fit together."""
+        check_arena(self)
+        checks.in_range("warmup_steps", self.warmup_steps, 1, 2**31 - 1)
+        checks.in_range("iterations_per_round", self.iterations_per_round, 1, 10_000)
+        checks.in_range("updates_per_step", self.updates_per_step, 1, 1_000)
+        checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
+        checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
+
+    @property
+    def steps_per_round(self) -> int:
+        """Control steps of all environments together in a round."""
+        return self.num_envs * self.iterations_per_round
+
+
+def check_arena(config: BaselineConfig) -> None:
+    """Checks the ranges of what all baselines share."""
+    checks.in_range("seed", config.seed, 0, 2**32 - 1)
+    checks.one_of("reward", config.reward, ("sparse", "dense"))
+    checks.one_of("engine", config.engine, ("mujoco", "mjx"))
+    if config.num_decisions is not None:
+        checks.in_range("num_decisions", config.num_decisions, 1, 10_000)
+    checks.in_range("num_envs", config.num_envs, 1, 2**16)
+    checks.in_range("num_steps", config.num_steps, 1, 2**31 - 1)
+    checks.in_range("log_rounds", config.log_rounds, 1, 1_000_000)
+    checks.in_range("evaluate_every", config.evaluate_every, 1, 1_000_000)
+    checks.in_range("checkpoint_every", config.checkpoint_every, 1, 1_000_000)
+    checks.in_range("num_eval_episodes", config.num_eval_episodes, 1, 1_000_000)

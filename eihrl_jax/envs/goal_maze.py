@@ -1,0 +1,144 @@
+"""A robot in a maze, one control step at a time, that is told where it is and where its goal is.
+
+What learners without a picture know and do: flat DroQ, HIGL, HRAC, HIRO and HESS. The task is that
+of the other mazes (`task`), but they know more than ours does: their own position and the goal's.
+
+Observation: `base.GoalObs`. Action: controls in [-1, 1].
+Reward: sparse pays 1 for each goal region that the torso enters for the first time; dense pays
+1 / (1 + distance to the current goal) per control step (paper, App. D).
+End of an episode: terminated by the last goal, or by a simulation that breaks down; truncated at
+the maze's number of decisions times the robot's control steps per subgoal. A fall ends nothing.
+Reset: as in `maze`.
+"""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax import base
+from eihrl_jax.envs import locomotion, task
+from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.physics import engine as engine_lib
+
+
+class GoalWalk(struct.PyTreeNode):
+    """The state of an episode.
+
+    Attributes:
+      nav: where the episode stands; its `decisions` count control steps.
+      physics: the robot's state.
+      total_reward: float32, rewards of the episode so far.
+      has_fallen: whether the robot has lain on the ground.
+      is_broken: whether its simulation has broken down.
+    """
+
+    nav: task.Navigation
+    physics: engine_lib.PhysicsState
+    total_reward: Float[Array, ""]
+    has_fallen: Bool[Array, ""]
+    is_broken: Bool[Array, ""]
+
+
+class GoalMaze:
+    """One maze, or a different one in every episode.
+
+    Metrics, so far in the episode: `success` visited goals / goals, `decisions` control steps /
+    control steps per subgoal, `return`, and 0 or 1 for `fell` and `broke_down`.
+    """
+
+    def __init__(
+        self,
+        engine: engine_lib.Engine,
+        mazes: maze_lib.Maze,
+        *,
+        reward: Literal["sparse", "dense"] = "sparse",
+    ):
+        """Prepares the mazes.
+
+        Args:
+          engine: moves the robot.
+          mazes: one maze, or several with a leading axis of which each episode draws one.
+          reward: see the module.
+        """
+        self.robot = engine.robot
+        self._engine = engine
+        self._reward = reward
+        limit = mazes.num_decisions * self.robot.steps_per_subgoal
+        self.course = task.prepare(mazes.replace(num_decisions=limit))
+
+    @property
+    def side_xy(self) -> tuple[int, int]:
+        """The mazes' sides in units, their upper left corner at the origin."""
+        num_rows, num_columns = self.course.mazes.wall.shape[-2:]
+        return round(num_columns * base.CELL), round(num_rows * base.CELL)
+
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+        """Draws a new episode, in a given maze or in any; the key is consumed."""
+        next_key, start_key, pose_key = jax.random.split(key, 3)
+        nav, xy = task.start(self.course, start_key, maze)
+        no, zero = jnp.zeros((), bool), jnp.float32(0.0)
+        walk = GoalWalk(
+            nav=nav,
+            physics=locomotion.draw_pose(self._engine, xy, pose_key),
+            total_reward=zero,
+            has_fallen=no,
+            is_broken=no,
+        )
+        outcome = task.Outcome(reward=zero, terminated=no, truncated=no)
+        return self._state(walk, outcome, next_key)
+
+    def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
+        """Advances one control step; an episode that is over rests, and pays nothing."""
+        walk: GoalWalk = state.inner
+        is_running = ~(state.terminated | state.truncated)
+        maze = task.drawn_maze(self.course, walk.nav)
+        physics, is_broken = locomotion.move(self._engine, walk.physics, action, maze, is_running)
+        xy = physics.qpos[:2]
+        nav, outcome = task.advance(self.course, walk.nav, xy[None])
+        if self._reward == "dense":
+            outcome = outcome.replace(reward=task.dense_reward(self.course, nav, xy))
+        outcome = outcome.replace(
+            terminated=outcome.terminated | is_broken, truncated=outcome.truncated & ~is_broken
+        )
+        moved = GoalWalk(
+            nav=nav,
+            physics=physics,
+            total_reward=walk.total_reward + outcome.reward,
+            has_fallen=walk.has_fallen | locomotion.is_fallen(physics.qpos, self.robot),
+            is_broken=is_broken,
+        )
+        rested = state.replace(reward=jnp.float32(0.0))
+        return jax.tree.map(
+            lambda new, old: jnp.where(is_running, new, old),
+            self._state(moved, outcome, state.key),
+            rested,
+        )
+
+    def _state(self, walk: GoalWalk, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
+        """Puts together what `reset` and `step` return."""
+        steps = walk.nav.decisions.astype(jnp.float32)
+        obs = base.GoalObs(
+            xy=walk.physics.qpos[:2],
+            proprioception=jnp.concatenate([walk.physics.qpos[2:], walk.physics.qvel]),
+            goal_xy=task.current_goal_xy(self.course, walk.nav),
+            time=steps / base.TIME_UNIT,
+        )
+        return base.EnvState(
+            inner=walk,
+            obs=obs,
+            final_obs=obs,
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            truncated=outcome.truncated,
+            metrics={
+                "success": task.success(self.course, walk.nav),
+                "decisions": jnp.ceil(steps / self.robot.steps_per_subgoal),
+                "return": walk.total_reward,
+                "fell": walk.has_fallen.astype(jnp.float32),
+                "broke_down": walk.is_broken.astype(jnp.float32),
+            },
+            key=key,
+        )

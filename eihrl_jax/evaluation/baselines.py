@@ -1,0 +1,121 @@
+"""Baselines as systems that are evaluated beside ours: a decision of theirs is k steps long."""
+
+import dataclasses
+import json
+import pathlib
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Float, Int, Key
+
+from eihrl_jax import base, config, mazes, policies, presets
+from eihrl_jax.agents import hierarchy
+from eihrl_jax.baselines import system as system_lib
+from eihrl_jax.envs import goal_maze, locomotion, task
+from eihrl_jax.evaluation import checked
+from eihrl_jax.physics import engine as engine_lib
+
+
+class BaselineWalk(struct.PyTreeNode):
+    """The state of an episode.
+
+    Attributes:
+      nav: where it stands, its `decisions` counted as ours are.
+      state: of the maze.
+      memory: what the baseline remembers.
+    """
+
+    nav: task.Navigation
+    state: base.EnvState
+    memory: Any
+
+
+@dataclasses.dataclass(frozen=True)
+class BaselineMaze:
+    """A robot that a baseline walks; a decision is as many control steps as one of ours.
+
+    Attributes:
+      env: the maze.
+      course: the same mazes with their time limits in decisions.
+      system: the baseline.
+      policy: its parameters.
+    """
+
+    env: goal_maze.GoalMaze
+    course: task.Course
+    system: system_lib.System
+    policy: dict[str, Any]
+
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+        """Draws a new episode, in a given maze or in any; the key is consumed."""
+        return self._outer(self.env.reset(key, maze), self.system.start(), jnp.float32(0.0))
+
+    def trace(
+        self, state: base.EnvState, action: Int[Array, ""]
+    ) -> tuple[base.EnvState, hierarchy.Trace]:
+        """Walks on for as long as one of our subgoals takes; the action means nothing."""
+        del action
+        walk: BaselineWalk = state.inner
+        next_key, act_key = jax.random.split(walk.state.key)
+
+        def advance(
+            carry: tuple[base.EnvState, Any], key: Key[Array, ""]
+        ) -> tuple[tuple[base.EnvState, Any], hierarchy.Trace]:
+            inner, memory = carry
+            is_running = ~(inner.terminated | inner.truncated)
+            ctrl, memory = self.system.act(self.policy, memory, inner.obs, key)
+            inner = self.env.step(inner, ctrl)
+            qpos = inner.inner.physics.qpos
+            is_fallen = locomotion.is_fallen(qpos, self.env.robot)
+            step = hierarchy.Trace(qpos=qpos, is_fallen=is_fallen, is_running=is_running)
+            return (inner, memory), step
+
+        keys = jax.random.split(act_key, self.env.robot.steps_per_subgoal)
+        start = walk.state.replace(key=next_key), walk.memory
+        (inner, memory), trace = jax.lax.scan(advance, start, keys)
+        paid = inner.metrics["return"] - state.metrics["return"]
+        return self._outer(inner, memory, paid), trace
+
+    def _outer(self, inner: base.EnvState, memory: Any, reward: Float[Array, ""]) -> base.EnvState:
+        decisions = inner.metrics["decisions"].astype(jnp.int32)
+        nav = inner.inner.nav.replace(decisions=decisions)
+        walk = BaselineWalk(nav=nav, state=inner, memory=memory)
+        return inner.replace(inner=walk, obs=None, final_obs=None, reward=reward)
+
+
+def is_baseline(name: str) -> bool:
+    """Tells whether a name or a folder is a trained baseline's."""
+    path = pathlib.Path(name)
+    for candidate in (path, path / policies.FOLDER, policies.PRETRAINED / name / "baseline"):
+        if (candidate / "meta.json").is_file():
+            return json.loads((candidate / "meta.json").read_text()).get("kind") == "baseline"
+    return False
+
+
+def load(name: str, engine: engine_lib.Engine, stacked: mazes.Maze) -> BaselineMaze:
+    """Loads a baseline into some mazes.
+
+    Args:
+      name: run folder or policy folder.
+      engine: moves the robot, which must be the one that it was trained with.
+      stacked: mazes with a leading axis.
+
+    Raises:
+      base.UserError: there is none, it is damaged, or another robot's.
+    """
+    path = policies.find(name, "baseline")
+    policy, meta = policies.load(path, kind="baseline", robot=engine.robot.name)
+    method = checked.entry(meta, "method", path)
+    if method not in presets.BASELINES:
+        raise base.UserError(f"{path}: unknown method {method!r}")
+    text = json.dumps(checked.entry(meta, "config", path), default=str)
+    options = config.from_json(type(presets.BASELINES[method]), text, source=str(path))
+    env = goal_maze.GoalMaze(engine, stacked)
+    width, height = checked.entry(meta, "side_xy", path)
+    steps = int(env.course.mazes.num_decisions.max())
+    system = system_lib.make(env, engine.model.nu, (width, height), steps, options)
+    expected = jax.eval_shape(lambda key: system.policy(system.init(key)), jax.random.key(0))
+    checked.shapes(policy, expected, path)
+    return BaselineMaze(env, task.prepare(stacked), system, policy)

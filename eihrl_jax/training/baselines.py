@@ -1,0 +1,168 @@
+"""Training of the baselines: walk, learn, evaluate, checkpoint, whatever the method."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from eihrl_jax import base, mazes, policies, robots
+from eihrl_jax.baselines import system as system_lib
+from eihrl_jax.config import baselines as config_lib
+from eihrl_jax.envs import goal_maze, wrappers
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.training import metrics as metrics_lib
+from eihrl_jax.training import progress as progress_lib
+from eihrl_jax.training import run_folder, versions
+
+EVALUATION_STREAM = 1
+"""Folded into the seed's key for evaluation, whose draws must not be those of training."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Arena:
+    """A maze with a robot, and the baseline that learns in it.
+
+    Attributes:
+      env: the maze.
+      system: the baseline.
+    """
+
+    env: goal_maze.GoalMaze
+    system: system_lib.System
+
+
+def make_arena(config: config_lib.BaselineConfig) -> Arena:
+    """Builds maze, robot and baseline.
+
+    Raises:
+      base.UserError: the maze or the robot is unknown.
+    """
+    robot = robots.load(config.robot)
+    engine = engine_lib.make(robot, config.engine)
+    maze = mazes.load(config.maze, num_decisions=config.num_decisions)
+    env = goal_maze.GoalMaze(engine, maze, reward=config.reward)
+    is_flat = isinstance(config, config_lib.FlatConfig)
+    trained_in = wrappers.auto_reset(env) if is_flat else env
+    steps = int(env.course.mazes.num_decisions.max())
+    system = system_lib.make(trained_in, engine.model.nu, env.side_xy, steps, config)
+    return Arena(env, system)
+
+
+def train(config: config_lib.BaselineConfig) -> None:
+    """Trains a baseline in a run folder, or goes on with a run that was stopped.
+
+    The run folder ends up with the policy.
+
+    Args:
+      config: the options of the method.
+
+    Raises:
+      base.UserError: an option or the run folder is not as it should be.
+    """
+    arena = make_arena(config)
+    system, per_row = arena.system, arena.system.steps_per_round * config.log_rounds
+    with run_folder.RunFolder.create(
+        config.run, config, resume=config.resume, may_change={"num_steps"}
+    ) as run:
+        init_key, measure_key = jax.random.split(jax.random.key(config.seed))
+        state = jax.jit(system.init)(init_key)
+        restored = run.restore(state)
+        done, state = (0, state) if restored is None else restored
+        title = f"{config.method} in {config.maze}"
+        with progress_lib.Progress(title, config.num_steps, done=done) as progress:
+            advance, evaluate = _compile(arena, config, state, progress)
+            while done < config.num_steps:
+                state, metrics = advance(state)
+                done += per_row
+                row, count = metrics_lib.summarise(metrics), done // per_row
+                is_last = done >= config.num_steps
+                if count % config.evaluate_every == 0 or is_last:
+                    key = jax.random.fold_in(measure_key, count)
+                    found = metrics_lib.summarise(evaluate(system.policy(state), key))
+                    row |= {f"eval/{name}": value for name, value in found.items()}
+                run.log(done, row)
+                progress.update(done, _shown(row))
+                if count % config.checkpoint_every == 0 or is_last:
+                    run.save(done, state)
+        _finish(config, arena, run, state)
+
+
+def measure(
+    arena: Arena, policy: dict[str, Any], key: Key[Array, ""], num_episodes: int
+) -> dict[str, Float[Array, ""]]:
+    """Runs episodes without exploration; returns sums of their metrics and their number."""
+    env_key, act_key = jax.random.split(key)
+    envs = jax.vmap(arena.env.reset)(jax.random.split(env_key, num_episodes))
+    start = arena.system.start()
+    memory = jax.tree.map(lambda leaf: jnp.stack([leaf] * num_episodes), start)
+
+    def is_running(carry: tuple[base.EnvState, Any, Key[Array, ""]]) -> Array:
+        return ~(carry[0].terminated | carry[0].truncated).all()
+
+    def body(
+        carry: tuple[base.EnvState, Any, Key[Array, ""]],
+    ) -> tuple[base.EnvState, Any, Key[Array, ""]]:
+        envs, memory, key = carry
+        key, now_key = jax.random.split(key)
+        keys = jax.random.split(now_key, num_episodes)
+        act = jax.vmap(arena.system.act, (None, 0, 0, 0))
+        ctrl, memory = act(policy, memory, envs.obs, keys)
+        return jax.vmap(arena.env.step)(envs, ctrl), memory, key
+
+    envs, _, _ = jax.lax.while_loop(is_running, body, (envs, memory, act_key))
+    sums = {f"sum_{name}": value.sum() for name, value in envs.metrics.items()}
+    return sums | {"episodes": jnp.float32(num_episodes)}
+
+
+def _compile(
+    arena: Arena,
+    config: config_lib.BaselineConfig,
+    state: Any,
+    progress: progress_lib.Progress,
+) -> tuple[Callable, Callable]:
+    """Compiles training and evaluation ahead, so that the time it takes can be told."""
+
+    def advance(state: Any) -> tuple[Any, dict[str, Array]]:
+        return jax.lax.scan(
+            lambda state, _: arena.system.advance(state), state, length=config.log_rounds
+        )
+
+    def evaluate(policy: dict[str, Any], key: Key[Array, ""]) -> dict[str, Array]:
+        return measure(arena, policy, key, config.num_eval_episodes)
+
+    with progress.compiling("training"):
+        compiled = jax.jit(advance, donate_argnums=0).lower(state).compile()
+    with progress.compiling("evaluation"):
+        key = jax.random.key(0)
+        measured = jax.jit(evaluate).lower(arena.system.policy(state), key).compile()
+    return compiled, measured
+
+
+def _shown(row: dict[str, float]) -> dict[str, float]:
+    """Picks what the progress bar shows."""
+    names = {"eval/success": "success", "success": "while exploring"}
+    return {short: row[name] for name, short in names.items() if name in row}
+
+
+def _finish(
+    config: config_lib.BaselineConfig, arena: Arena, run: run_folder.RunFolder, state: Any
+) -> None:
+    """Writes the policy of a run that has reached its end."""
+    policies.save(
+        run.path / policies.FOLDER,
+        kind="baseline",
+        params=arena.system.policy(state),
+        meta={
+            "method": config.method,
+            "maze": config.maze,
+            "robot": arena.env.robot.name,
+            "side_xy": arena.env.side_xy,
+            "config": dataclasses.asdict(config),
+            "num_steps": int(state.num_steps),
+            "versions": versions.describe(),
+        },
+        overwrite=True,
+    )

@@ -1,0 +1,156 @@
+"""Every baseline trains, resumes exactly, compiles once, and is evaluated beside ours."""
+
+import csv
+import dataclasses
+import math
+
+import jax
+import numpy as np
+import pytest
+
+from eihrl_jax import base, policies, presets
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import hess as hess_config
+from eihrl_jax.config import higl as higl_config
+from eihrl_jax.config import low as low_config
+from eihrl_jax.evaluation import evaluate
+from eihrl_jax.training import baselines, checkpoint
+
+MAZE = "####\n#1S#\n####\n"
+METHODS = tuple(presets.BASELINES)
+
+
+def small_options(method):
+    """Options under which a method does everything that it does, in little time."""
+    if method == "droq":
+        return {
+            "warmup_steps": 8,
+            "iterations_per_round": 4,
+            "updates_per_step": 1,
+            "capacity": 400,
+            "learner": low_config.Droq(hidden=(16, 16), actor_period=2, batch_size=8),
+        }
+    if method == "hess":
+        return {
+            "period": 10,
+            "capacity": 8,
+            "high_capacity": 400,
+            "random_episodes": 2,
+            "manager": hess_config.Sac(hidden=(16, 16), batch_size=8),
+            "controller": hess_config.Ddpg(
+                hidden=(16,), critic_hidden=(16,), batch_size=8, updates_per_episode=2
+            ),
+            "representation": hess_config.Representation(
+                hidden=(8,), batch_size=8, num_updates=3, every=4
+            ),
+            "exploration": hess_config.Exploration(
+                num_candidates=8, first_episode=2, potential_episode=4, every=4
+            ),
+        }
+    return {
+        "period": 5,
+        "periods_per_round": 2,
+        "capacity": 400,
+        "high_capacity": 400,
+        "manager": higl_config.Td3(hidden=(16,), reach=10.0, batch_size=8),
+        "controller": higl_config.Td3(hidden=(16,), noise=0.3, batch_size=8),
+        "adjacency": higl_config.Adjacency(hidden=(8,), num_features=4, period=40),
+        "landmarks": higl_config.Landmarks(
+            num_coverage=4, num_novel=4, pool=20, novelty_hidden=(8,), first_step=20, rounds=3
+        ),
+    }
+
+
+@pytest.fixture(scope="module")
+def maze(tmp_path_factory):
+    path = tmp_path_factory.mktemp("mazes") / "corridor.txt"
+    path.write_text(MAZE)
+    return str(path)
+
+
+def config_of(method, maze, run, **changes):
+    arena = {
+        "maze": maze,
+        "robot": "point",
+        "num_decisions": 2,
+        "num_envs": 2,
+        "log_rounds": 1,
+        "evaluate_every": 2,
+        "checkpoint_every": 1,
+        "num_eval_episodes": 2,
+        "num_steps": 200 if method == "hess" else 80,
+        "run": run,
+    }
+    changes = arena | small_options(method) | changes
+    return dataclasses.replace(presets.BASELINES[method], **changes)
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def finished(request, maze, tmp_path_factory):
+    config = config_of(request.param, maze, tmp_path_factory.mktemp("runs") / request.param)
+    baselines.train(config)
+    return config
+
+
+def test_metrics_are_numbers_and_episodes_are_counted(finished):
+    with (finished.run / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert int(rows[-1]["step"]) >= finished.num_steps
+    assert 0.0 <= float(rows[-1]["eval/success"]) <= 1.0
+    assert 0.0 < float(rows[-1]["eval/decisions"]) <= 2.0
+    learned = [name for name in rows[-1] if "/" in name and not name.startswith("eval")]
+    assert learned and all(math.isfinite(float(rows[-1][name])) for name in learned)
+
+
+def test_resuming_changes_nothing(finished, maze, tmp_path):
+    run = tmp_path / "halves"
+    half = finished.num_steps // 2
+    baselines.train(dataclasses.replace(finished, run=run, num_steps=half))
+    baselines.train(dataclasses.replace(finished, run=run, resume=True))
+    arena = baselines.make_arena(finished)
+    template = jax.eval_shape(arena.system.init, jax.random.key(0))
+    states = [checkpoint.restore(path / "checkpoints", template)[1] for path in (finished.run, run)]
+    for left, right in zip(*map(jax.tree.leaves, states), strict=True):
+        if jax.dtypes.issubdtype(left.dtype, jax.dtypes.prng_key):
+            left, right = jax.random.key_data(left), jax.random.key_data(right)
+        np.testing.assert_array_equal(left, right)
+
+
+def test_advancing_keeps_all_types_so_that_it_compiles_once(finished):
+    system = baselines.make_arena(finished).system
+    before = jax.eval_shape(system.init, jax.random.key(0))
+    after, _ = jax.eval_shape(system.advance, before)
+    assert jax.tree.structure(before) == jax.tree.structure(after)
+    for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
+        assert (old.shape, old.dtype, old.weak_type) == (new.shape, new.dtype, new.weak_type)
+
+
+def test_a_baseline_is_evaluated_beside_ours(finished, maze, tmp_path):
+    options = evaluate_config.EvaluateConfig(
+        mazes=(maze,),
+        robot=("point",),
+        movement=("oracle", "full"),
+        high=("random", str(finished.run)),
+        episodes=3,
+        out=tmp_path / "evaluation",
+        num_decisions=2,
+    )
+    cells = evaluate.evaluate(options).cells
+    found = [(cell.system.movement, cell.system.high) for cell in cells]
+    peer = ("full", str(finished.run))
+    assert found.count(peer) == 1 and len(found) == 3
+    cell = cells[found.index(peer)]
+    assert cell.system.low is None and cell.num_episodes == 3
+    assert list((tmp_path / "evaluation").glob("*.gif"))
+
+
+def test_a_baseline_needs_its_robot_and_walking(finished, maze, tmp_path):
+    options = evaluate_config.EvaluateConfig(
+        mazes=(maze,), high=(str(finished.run),), episodes=1, out=tmp_path / "new"
+    )
+    with pytest.raises(base.UserError, match="is a policy of robot 'point', expected 'ant'"):
+        evaluate.evaluate(options)
+    with pytest.raises(base.UserError, match="is a baseline, which walks"):
+        evaluate.evaluate(dataclasses.replace(options, movement=("oracle",)))
+    with pytest.raises(base.UserError, match="is a baseline, expected a low-level policy"):
+        policies.load(policies.find(finished.run, "low"), kind="low")
