@@ -1,0 +1,207 @@
+"""What HESS is made of: its two levels, memory, subgoal space and choice of subgoals."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eihrl_jax import base
+from eihrl_jax.baselines.hess import exploration, learning, levels, memory, representation
+from eihrl_jax.config import hess as config
+
+SAC = config.Sac(hidden=(32, 32), reach=2.0, learning_rate=3e-3, temperature=0.01, target_rate=0.05)
+DDPG = config.Ddpg(
+    hidden=(32, 32),
+    critic_hidden=(32, 32),
+    learning_rate=2e-3,
+    gamma=0.9,
+    target_rate=0.2,
+    batch_size=64,
+)
+
+
+def transitions(key, reward, discount, reach):
+    """Transitions between random observations of two numbers, with random actions of one."""
+    obs_key, action_key, next_key = jax.random.split(key, 3)
+    obs = jax.random.uniform(obs_key, (64, 2), minval=-1.0, maxval=1.0)
+    action = jax.random.uniform(action_key, (64, 1), minval=-reach, maxval=reach)
+    return base.Transition(
+        obs=obs,
+        action=action,
+        reward=reward(obs, action),
+        discount=jnp.full(64, discount),
+        next_obs=jax.random.uniform(next_key, (64, 2), minval=-1.0, maxval=1.0),
+    )
+
+
+def test_the_manager_finds_the_action_that_an_observation_asks_for():
+    agent = levels.Sac(2, 1, SAC)
+
+    def body(state, key):
+        batch_key, update_key = jax.random.split(key)
+        batch = transitions(
+            batch_key, lambda obs, act: -jnp.square(act[:, 0] - 1.5 * obs[:, 0]), 0.0, 2.0
+        )
+        return agent.update(state, batch, jnp.ones(64), update_key)
+
+    keys = jax.random.split(jax.random.key(1), 2000)
+    state, _ = jax.jit(lambda: jax.lax.scan(body, agent.init(jax.random.key(0)), keys))()
+    for x in (-0.8, 0.0, 0.8):
+        obs = jnp.array([x, 0.3])
+        act = agent.act(state.actor_params, obs, jax.random.key(0), deterministic=True)
+        assert act == pytest.approx(1.5 * x, abs=0.25)
+
+
+def test_targets_are_clipped_where_a_floor_is_given():
+    agent = levels.Sac(2, 1, dataclasses.replace(SAC, value_floor=-5.0, temperature=0.0))
+
+    def body(state, key):
+        batch_key, update_key = jax.random.split(key)
+        batch = transitions(batch_key, lambda obs, act: jnp.full(64, -100.0), 0.0, 2.0)
+        return agent.update(state, batch, jnp.ones(64), update_key)
+
+    keys = jax.random.split(jax.random.key(1), 1000)
+    _, metrics = jax.jit(lambda: jax.lax.scan(body, agent.init(jax.random.key(0)), keys))()
+    assert metrics["value"][-1] == pytest.approx(-5.0, abs=0.3)
+
+
+def test_the_controller_tells_the_time_that_is_needed_and_saves_it():
+    agent = levels.Ddpg(2, 1, DDPG)
+
+    def body(state, key):
+        batch = transitions(key, lambda obs, act: -jnp.square(act[:, 0] - 0.5), 0.0, 1.0)
+        return agent.update(state, batch, jnp.ones(64), jnp.float32(1.0))
+
+    keys = jax.random.split(jax.random.key(1), 2000)
+    state, metrics = jax.jit(lambda: jax.lax.scan(body, agent.init(jax.random.key(0)), keys))()
+    assert agent.act(state.actor_params, jnp.zeros(2)) == pytest.approx(0.5, abs=0.15)
+    assert metrics["critic_loss"][-1] < 0.02
+    after, _ = agent.update(
+        state,
+        transitions(keys[0], lambda obs, act: jnp.zeros(64), 0.0, 1.0),
+        jnp.zeros(64),
+        jnp.float32(0.0),
+    )
+    for old, new in zip(
+        *map(jax.tree.leaves, (state.actor_params, after.actor_params)), strict=True
+    ):
+        assert jnp.array_equal(old, new)
+
+
+def stored_episodes():
+    """Two places for episodes of up to six steps in periods of three; one is stored, five long."""
+    batch = memory.Episodes(
+        obs=jnp.arange(7.0)[None, :, None],
+        place=jnp.stack([jnp.arange(7.0), -jnp.arange(7.0)], -1)[None],
+        action=10.0 * jnp.arange(6.0)[None, :, None],
+        subgoal=jnp.array([[[1.0, 1.0], [2.0, 2.0]]]),
+        length=jnp.array([5]),
+        position=jnp.int32(0),
+    )
+    return memory.add(memory.init(2, 3, 2, (1, 1)), batch)
+
+
+def test_drawn_steps_are_those_that_were_stored():
+    steps = memory.sample(stored_episodes(), (300,), jax.random.key(0))
+    t = np.asarray(steps.obs[:, 0])
+    assert set(t.tolist()) == {0.0, 1.0, 2.0, 3.0, 4.0}
+    np.testing.assert_array_equal(steps.next_obs[:, 0], t + 1)
+    np.testing.assert_array_equal(steps.action[:, 0], 10 * t)
+    np.testing.assert_array_equal(steps.next_place[:, 1], -t - 1)
+    np.testing.assert_array_equal(steps.subgoal[:, 0], np.where(t < 3, 1.0, 2.0))
+
+
+def test_beginnings_are_those_of_periods_that_there_were():
+    obs, is_there = memory.beginnings(stored_episodes())
+    assert obs[0, :, 0].tolist() == [0.0, 3.0]
+    assert is_there.tolist() == [[True, True], [False, False]]
+
+
+def test_the_controller_is_paid_for_the_distance_and_its_task_ends_at_the_subgoal():
+    options = config.HessConfig(controller=dataclasses.replace(DDPG, reward_scale=0.1))
+    learner = learning.Learning(1, 1, options)
+    steps = memory.Steps(
+        obs=jnp.zeros((3, 1)),
+        place=jnp.array([[0.0, 0.0], [2.95, 4.0], [3.0, 4.0]]),
+        subgoal=jnp.array([[3.0, 4.0]] * 3),
+        action=jnp.zeros((3, 1)),
+        next_obs=jnp.zeros((3, 1)),
+        next_place=jnp.array([[3.0, 0.0], [3.0, 3.95], [3.0, 9.0]]),
+    )
+    found, weight = learner.control_transition(steps)
+    np.testing.assert_allclose(found.reward, [-0.4, -0.005, -0.5], rtol=1e-4)
+    np.testing.assert_allclose(found.discount, [0.9, 0.0, 0.9], rtol=1e-6)
+    assert weight.tolist() == [1.0, 0.0, 0.0]
+
+
+def walks(num_episodes, num_steps):
+    """Episodes that go steadily along a line, seen as two numbers of which one is noise."""
+    t = jnp.arange(num_steps + 1.0) / num_steps
+    noise = jax.random.normal(jax.random.key(5), (num_episodes, num_steps + 1))
+    seen = jnp.stack([jnp.broadcast_to(t, noise.shape), noise], -1)
+    return representation.Stored(seen, jnp.full(num_episodes, num_steps, jnp.int32))
+
+
+@pytest.mark.parametrize("anchors", ["best", "rest"])
+def test_the_subgoal_space_is_slow_and_spreads_what_is_far_apart(anchors):
+    options = config.Representation(
+        hidden=(32,), learning_rate=1e-2, batch_size=64, num_updates=600, anchors=anchors
+    )
+    space = representation.Representation(2, 20, options)
+    stored = walks(8, 40)
+    state = space.init((8, 40), jax.random.key(0))
+    state, loss = jax.jit(space.train)(state, stored, jnp.float32(0.1), jax.random.key(1))
+    assert state.num_blocks == 1 and loss < 0.6
+    here = space.place(state.params, stored.obs)
+    near = jnp.square(here[:, 1:] - here[:, :-1]).mean()
+    far = jnp.square(here[:, 20:] - here[:, :-20]).mean()
+    assert far > 0.6 and near < 0.1 * far
+
+
+def test_anchors_hold_the_subgoal_space_where_it_was():
+    options = config.Representation(
+        hidden=(32,), learning_rate=1e-2, batch_size=64, num_updates=200, anchors="rest"
+    )
+    space = representation.Representation(2, 20, options)
+    stored = walks(8, 40)
+    state = space.init((8, 40), jax.random.key(0)).replace(num_blocks=jnp.int32(1))
+    before = space.place(state.params, stored.obs)
+
+    def drift(stability):
+        after, _ = jax.jit(space.train)(state, stored, jnp.float32(stability), jax.random.key(1))
+        return float(jnp.square(space.place(after.params, stored.obs) - before).mean())
+
+    assert drift(100.0) < 0.2 * drift(0.0)
+
+
+def test_novelty_counts_what_comes_after():
+    options = config.Exploration(square=1.0, gamma=0.5)
+    place = jnp.array([[[0.5, 0.5], [5.5, 0.5]]])
+    valid = jnp.ones((1, 2), bool)
+    state = exploration.visit(exploration.init(), place, valid, 1.0)
+    state = exploration.visit(state, place[:, 1:], valid[:, 1:], 1.0)
+    state = exploration.look_ahead(state, place, valid, options)
+    i, j = exploration.square(place[0], 1.0)
+    # One visit, then half of two: (2 + 1) / (1 + 1). Two visits: (2 + 1) / (1 + 1).
+    np.testing.assert_allclose(state.novelty[i, j], [1.5, 1.5])
+    assert state.visits.sum() == 3 and state.novelty.max() == 1.5
+
+
+def test_the_newest_place_within_reach_is_chosen_unless_it_was_missed():
+    options = config.Exploration(square=1.0, reach=8.0, miss_weight=1.0)
+    candidates = jnp.array([[0.0, 0.0], [3.5, 0.5], [0.5, 6.5], [50.5, 0.5]])
+    state = exploration.init()
+    i, j = exploration.square(candidates, 1.0)
+    state = state.replace(novelty=state.novelty.at[i, j].set(jnp.array([0.0, 5.0, 2.0, 0.1])))
+    state = exploration.miss(state, candidates[2:3], candidates[2:3] + 3.0, jnp.ones(1, bool), 1.0)
+
+    def choose(has_potential, here=candidates[0]):
+        return exploration.select(
+            state, here, candidates, jnp.array(has_potential), options, jax.random.key(0)
+        ).tolist()
+
+    assert choose(False) == [0.5, 6.5]
+    assert choose(True) == [3.5, 0.5]
+    assert choose(True, jnp.array([500.0, 0.0])) in candidates.tolist()

@@ -1,0 +1,159 @@
+"""What HIGL is made of: adjacency, novelty, the off-policy correction, the planner."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eihrl_jax.baselines.higl import adjacency, landmarks, learning, novelty, relabelling
+from eihrl_jax.config import higl as config
+
+NO = jnp.zeros((6, 1), bool)
+YES = ~NO
+LINE = jnp.stack([jnp.arange(6.0) - 2.5, jnp.zeros(6)], -1)[:, None]
+"""A robot's way from west to east along squares 0 to 5 of an arena of 6 x 1 units."""
+
+
+def places(**options):
+    settings = {"steps": 2, "hidden": (32, 32), "num_features": 8, "learning_rate": 2e-3}
+    return adjacency.AdjacencyNetwork(1, 6, config.Adjacency(**(settings | options)))
+
+
+def test_places_within_a_few_steps_of_each_other_are_adjacent():
+    network = places()
+    table = network.mark(network.init(jax.random.key(0)), LINE, YES, NO).table
+    i, j = np.indices((6, 6))
+    np.testing.assert_array_equal(table, abs(i - j) <= 2)
+
+
+def test_places_of_different_episodes_are_not_adjacent():
+    network = places()
+    is_end = NO.at[2, 0].set(True)
+    table = np.asarray(network.mark(network.init(jax.random.key(0)), LINE, YES, is_end).table)
+    assert table[1, 2] and table[3, 4] and not table[:3, 3:].any()
+    is_running = YES.at[3, 0].set(False)
+    table = np.asarray(network.mark(network.init(jax.random.key(0)), LINE, is_running, NO).table)
+    assert not table[3].any() and table[2, 4]
+
+
+def test_the_network_learns_what_is_adjacent():
+    network = places(epochs=2000, max_updates=2000)
+    state = network.mark(network.init(jax.random.key(0)), LINE, YES, NO)
+    state, loss = jax.jit(network.fit)(state, jax.random.key(1))
+    assert loss < 0.02
+    here = jnp.broadcast_to(LINE[:1, 0], (6, 2))
+    excess = np.asarray(network.excess(state.params, here, LINE[:, 0]))
+    assert (excess[:3] == 0.0).all() and (excess[3:] > 0.0).all()
+
+
+def test_the_most_novel_places_are_kept_until_they_are_visited_again():
+    options = config.Landmarks(num_novel=3, merge_radius=0.5, novelty_hidden=(16,))
+    new = novelty.Novelty(2, options)
+    state = new.init(jax.random.key(0))
+    obs = jnp.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.1, 0.0]])
+    state = new.visit(state, obs, obs, jnp.ones(4, bool))
+    # The second place is dropped for the fourth, which came near it later.
+    assert sorted(np.round(state.xy.tolist(), 1).tolist()) == [[0.0, 0.0], [0.0, 4.0], [4.1, 0.0]]
+    often = jnp.broadcast_to(jnp.array([[[0.0, 4.0]]]), (1000, 1, 2))
+    state, loss = jax.lax.scan(new.update, state, often)
+    assert loss[-1] < 0.05 * loss[0]
+    before = {tuple(xy): score for xy, score in zip(state.xy.tolist(), state.score, strict=True)}
+    state = new.visit(state, obs[2:3], obs[2:3], jnp.ones(1, bool))
+    after = {tuple(xy): score for xy, score in zip(state.xy.tolist(), state.score, strict=True)}
+    assert after[(0.0, 4.0)] < 0.1 * before[(0.0, 4.0)]
+    assert after[(0.0, 0.0)] == before[(0.0, 0.0)]
+    unseen = new.visit(new.init(jax.random.key(0)), obs, obs, jnp.zeros(4, bool))
+    assert not np.isfinite(unseen.score).any()
+
+
+def subgoal_row(subgoal):
+    """A controller that walks a tenth of the displacement left per step, for five steps."""
+    xy, obs, action = jnp.zeros(2), [], []
+    for _ in range(5):
+        obs.append(xy)
+        action.append(0.1 * (subgoal - xy))
+        xy = xy + action[-1]
+    return relabelling.SubgoalRow(
+        obs=jnp.stack(obs),
+        action=jnp.stack(action),
+        is_running=jnp.ones(5, bool),
+        subgoal=jnp.array([-9.0, 9.0]),
+        goal_xy=jnp.zeros(2),
+        reward=jnp.float32(0.0),
+        next_obs=xy,
+        next_goal_xy=jnp.zeros(2),
+        terminated=jnp.array(False),
+        truncated=jnp.array(False),
+    )
+
+
+def test_the_correction_finds_the_subgoal_that_explains_what_was_done():
+    row, wanted = subgoal_row(jnp.array([4.0, 1.0])), np.array([4.0, 1.0])
+
+    def act(seen, left):
+        return 0.1 * left
+
+    found = relabelling.correct(row, act, 10.0, 2000, jax.random.key(0))
+    assert np.linalg.norm(found - wanted) < 0.5
+    few = relabelling.correct(row, act, 10.0, 2, jax.random.key(0))
+    np.testing.assert_allclose(few, row.next_obs)  # what was achieved beats what was stored
+    kept = relabelling.correct(row, act, 10.0, 1, jax.random.key(0))
+    np.testing.assert_array_equal(kept, row.subgoal)
+    told = row.replace(subgoal=jnp.asarray(wanted, jnp.float32))
+    np.testing.assert_allclose(relabelling.correct(told, act, 10.0, 12, jax.random.key(0)), wanted)
+
+
+class Walker:
+    """Stands in for the controller: a walk is worth minus its length."""
+
+    def act(self, actor_params, features):
+        del actor_params
+        return features[..., -2:]
+
+    def values(self, critic_params, features, action):
+        del critic_params, action
+        length = jnp.sqrt(jnp.square(features[..., -2:]).sum(-1))
+        return jnp.stack([-length, -length + 1.0])
+
+
+def test_the_planner_leads_along_the_landmarks():
+    options = config.Landmarks(
+        num_coverage=4, num_novel=2, pool=4, cutoff=-6.0, near=-2.0, heat=5.0, rounds=4
+    )
+    planner = landmarks.Planner(Walker(), options)
+    controller = learning.td3.Td3State(*[None] * 6)
+    pool = jnp.array([[0.0, 0.0], [5.0, 0.0], [10.0, 0.0], [10.0, 5.0]])
+    new = novelty.Novelty(2, options).init(jax.random.key(0))
+    graph = planner.graph(controller, pool, new)
+    assert graph.is_valid.tolist() == [True] * 4 + [False] * 2
+    goal = jnp.array([[10.0, 9.0]])
+
+    def plan(x, y):
+        return planner.plan(controller, graph, jnp.array([[x, y]]), goal)[0].tolist()
+
+    assert plan(1.0, 0.5) == [5.0, 0.0]
+    assert plan(9.0, 4.5) == [10.0, 5.0]
+    assert plan(10.0, 8.0) == [10.0, 9.0]  # near enough to go there itself
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_the_controller_is_paid_for_the_distance_left(moved):
+    options = config.HiglConfig(stores_moved_subgoal=moved)
+    rows = learning.Learning(4, 2, (9, 9), options)
+    row = learning.ControlRow(
+        obs=jnp.array([1.0, 2.0, 7.0, 8.0]),
+        subgoal=jnp.array([3.0, 0.0]),
+        action=jnp.zeros(2),
+        reward=jnp.float32(-2.0),
+        next_obs=jnp.array([2.0, 2.0, 7.5, 8.5]),
+        is_end=jnp.array(True),
+        is_running=jnp.array(True),
+    )
+    found = rows.control_transition(row)
+    assert found.obs.tolist() == [7.0, 8.0, 3.0, 0.0]
+    assert found.next_obs.tolist() == [7.5, 8.5, 2.0, 0.0]
+    assert found.discount == pytest.approx(0.95)  # its task goes on when the episode ends
+    quirky = dataclasses.replace(options, is_limit_terminal=True)
+    assert learning.Learning(4, 2, (9, 9), quirky).control_transition(row).discount == 0.0
