@@ -1,6 +1,7 @@
 """The parts of `experiments.report`: which evaluations each needs, and what it shows of them."""
 
 import dataclasses
+import itertools
 import pathlib
 from collections.abc import Callable
 
@@ -15,6 +16,13 @@ ROBOTS = ("ant", "point", "swimmer", "humanoid")
 SLOW = ("swimmer", "humanoid")
 PRESETS = {"best": "ours, best", "paper": "ours, as in the paper", "generalist": "ours, generalist"}
 """How the tables call the presets."""
+
+_CURVES = {
+    "sparse": ("eval/success", "success, %", 100.0),
+    "dense": ("eval/success", "success, %", 100.0),
+    "dense, average": ("eval/reward", "reward per decision", 1.0),
+}
+"""What learning curves show: column of the metrics, axis and factor."""
 
 MOVEMENTS = {"oracle": "oracle", "full": "walking"}
 ROOM_SIDE = 9
@@ -180,24 +188,27 @@ def more_time(runs: Runs) -> page.Section:
 def learning(runs: Runs) -> page.Section:
     """Learning curves with their range over seeds (paper, Figures 5 and 6)."""
     pictures = []
-    for maze in ("random", *TRAINED, "rooms"):
+    for maze, (kind, (column, label, scale)) in itertools.product(
+        ("random", *TRAINED, "rooms"), _CURVES.items()
+    ):
+        reward = "-dense" if kind.startswith("dense") else ""
         drawn = {}
-        for preset, label in PRESETS.items():
-            highs = runs.highs(f"{preset}-{maze}")
-            metrics = [file for high in highs for file in _metrics(pathlib.Path(high))]
-            if metrics:
-                drawn[label] = [
-                    curves.read(path, "num_decisions", "eval/success") for path in metrics
-                ]
+        for preset, name in PRESETS.items():
+            highs = runs.highs(f"{preset}-{maze}{reward}")
+            files = [file for high in highs for file in _metrics(pathlib.Path(high))]
+            if files:
+                drawn[name] = [curves.read(path, "num_decisions", column) for path in files]
         if drawn:
             runs.out.mkdir(parents=True, exist_ok=True)
-            path = runs.out / f"learning-{maze}.png"
-            curves.save_spread(
-                path, drawn, x_label="decisions", y_label="success, %", y_scale=100.0
-            )
-            caption = f"Learning in {maze}: mean and range over seeds, subgoals sampled."
+            path = runs.out / f"learning-{maze}-{kind.replace(', ', '-')}.png"
+            curves.save_spread(path, drawn, x_label="decisions", y_label=label, y_scale=scale)
+            caption = f"{maze}, {kind} reward: mean and range over seeds, subgoals sampled."
             pictures.append(page.Picture(path, caption))
-    return page.Section(title="Learning (Figures 5 and 6)", pictures=pictures)
+    return page.Section(
+        title="Learning (Figures 5 and 6)",
+        text="With dense reward, who has reached the last goal is paid 1 for each decision left.",
+        pictures=pictures,
+    )
 
 
 PARTS: dict[str, Callable[[Runs], page.Section]] = {

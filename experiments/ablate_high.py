@@ -25,10 +25,15 @@ def _task(**options: object) -> Change:
     )
 
 
-def _workers(num: int) -> Change:
-    """Lets fewer or more workers act; an update learns from that much less or more."""
+def _network(**options: object) -> Change:
     return lambda preset: dataclasses.replace(
-        preset, learner=dataclasses.replace(preset.learner, num_workers=num)
+        preset, network=dataclasses.replace(preset.network, **options)
+    )
+
+
+def _learner(**options: object) -> Change:
+    return lambda preset: dataclasses.replace(
+        preset, learner=dataclasses.replace(preset.learner, **options)
     )
 
 
@@ -38,12 +43,29 @@ VARIANTS: dict[str, Change] = {
     "epsilon 0.15": _task(sigma=0.15),
     "epsilon 0.6": _task(sigma=0.6),
     "one posture": _task(num_postures=1),
-    "1 worker": _workers(1),
-    "4 workers": _workers(4),
-    "16 workers": _workers(16),
-    "256 workers": _workers(256),
+    "1 worker": _learner(num_workers=1),
+    "4 workers": _learner(num_workers=4),
+    "16 workers": _learner(num_workers=16),
+    "256 workers": _learner(num_workers=256),
 }
 """What is changed, one thing at a time, by name; the presets have an epsilon of 0.3 units."""
+
+PLANNER_VARIANTS: dict[str, Change] = {
+    "preset": lambda preset: preset,
+    "epsilon 0": _task(sigma=0.0),
+    "no optimism": _network(optimism=0.0),
+    "cells alone": _network(around="nothing"),
+    "corners too": _network(around="corners"),
+    "entropy 0.02": _learner(entropy=0.02),
+    "view of 9 units": _task(extent=9.0, pixels=15),
+}
+"""The same for presets that plan on a map, which see no postures."""
+
+
+def variants(preset: str) -> dict[str, Change]:
+    """Returns what is changed of a preset."""
+    plans = presets.HIGH[preset].network.kind == "planner"
+    return PLANNER_VARIANTS if plans else VARIANTS
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,8 +78,8 @@ class AblationConfig:
     all variants that are there.
 
     Attributes:
-      preset: of `train_high`; `paper` has 64 workers and sees postures, `best` sees none.
-      variants: what to train; default: everything.
+      preset: of `train_high`; `paper` has 64 workers and sees postures, `best` plans on a map.
+      variants: what to train; default: everything, which depends on the preset.
       seeds: of the training runs of each variant.
       num_updates: of each run, a multiple of the preset's `log_every`; None: the preset's.
       robot: that walks.
@@ -68,7 +90,7 @@ class AblationConfig:
     """
 
     preset: str = "paper"
-    variants: tuple[str, ...] = tuple(VARIANTS)
+    variants: tuple[str, ...] = ()
     seeds: tuple[int, ...] = (0, 1, 2)
     num_updates: int | None = None
     robot: str = "ant"
@@ -80,11 +102,11 @@ class AblationConfig:
         """Checks names and ranges."""
         checks.one_of("preset", self.preset, tuple(presets.HIGH))
         for name in self.variants:
-            checks.one_of("variants", name, tuple(VARIANTS))
+            checks.one_of("variants", name, tuple(variants(self.preset)))
         for seed in self.seeds:
             checks.in_range("seeds", seed, 0, 2**32 - 1)
-        if not (self.variants and self.seeds and self.movement):
-            raise base.UserError("variants, seeds and movement must name at least one each")
+        if not (self.seeds and self.movement):
+            raise base.UserError("seeds and movement must name at least one each")
         checks.in_range("episodes", self.episodes, 1, 1_000_000)
         if self.num_updates is not None:
             every = presets.HIGH[self.preset].log_every
@@ -93,10 +115,11 @@ class AblationConfig:
 
 def main(config: AblationConfig) -> None:
     """Trains and evaluates what is missing, then compares what is there."""
+    chosen = config.variants or tuple(variants(config.preset))
     for seed in config.seeds:
-        for name in config.variants:
+        for name in chosen:
             _runs.finish(_options(config, name, seed), high.train)
-    for name in (*config.variants, RAND_H):
+    for name in (*chosen, RAND_H):
         _runs.evaluated(_evaluation(config, name))
     table = compare(config)
     (config.out / "table.md").write_text(table)
@@ -106,7 +129,7 @@ def main(config: AblationConfig) -> None:
 def compare(config: AblationConfig) -> str:
     """Draws the learning curves of finished runs, and returns the table of what was evaluated."""
     drawn = {}
-    for name in VARIANTS:
+    for name in variants(config.preset):
         wanted = [_options(config, name, seed) for seed in config.seeds]
         files = [options.run / "metrics.csv" for options in wanted if _runs.is_finished(options)]
         if files:
@@ -118,7 +141,7 @@ def compare(config: AblationConfig) -> str:
         y_label="success while training, %",
         y_scale=100.0,
     )
-    evaluations = {name: _evaluation(config, name) for name in (*VARIANTS, RAND_H)}
+    evaluations = {name: _evaluation(config, name) for name in (*variants(config.preset), RAND_H)}
     found = {
         name: _runs.evaluated(options)
         for name, options in evaluations.items()
@@ -139,7 +162,7 @@ def _options(config: AblationConfig, name: str, seed: int) -> high_config.HighCo
     if config.num_updates is not None:
         learner = dataclasses.replace(options.learner, num_updates=config.num_updates)
         options = dataclasses.replace(options, learner=learner)
-    return VARIANTS[name](options)
+    return variants(config.preset)[name](options)
 
 
 def _evaluation(config: AblationConfig, name: str) -> evaluate_config.EvaluateConfig:

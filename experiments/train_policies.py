@@ -1,8 +1,10 @@
 """Trains every shipped high level again: `python -m experiments.train_policies`."""
 
 import dataclasses
+import itertools
 import pathlib
 import shutil
+from typing import Literal
 
 from eihrl_jax import base, mazes, policies, presets
 from eihrl_jax.config import checks
@@ -24,13 +26,16 @@ class PoliciesConfig:
     Attributes:
       presets: of `train_high`.
       mazes: names of mazes.
+      rewards: sparse, dense or both (paper, App. D).
       seeds: of the training runs.
-      out: folder of the runs, `<preset>-<maze>-<seed>` each.
+      out: folder of the runs, `<preset>-<maze>-<seed>` each, `<preset>-<maze>-dense-<seed>` where
+        the reward is dense.
       ship: copy what is finished into the package, in place of what is shipped.
     """
 
     presets: tuple[str, ...] = tuple(presets.HIGH)
     mazes: tuple[str, ...] = MAZES
+    rewards: tuple[Literal["sparse", "dense"], ...] = ("sparse",)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     out: pathlib.Path = pathlib.Path("runs/policies")
     ship: bool = False
@@ -43,8 +48,8 @@ class PoliciesConfig:
             checks.one_of("mazes", name, mazes.NAMES)
         for seed in self.seeds:
             checks.in_range("seeds", seed, 0, 2**32 - 1)
-        if not (self.presets and self.mazes and self.seeds):
-            raise base.UserError("presets, mazes and seeds must name at least one each")
+        if not (self.presets and self.mazes and self.rewards and self.seeds):
+            raise base.UserError("presets, mazes, rewards and seeds must name at least one each")
 
 
 def main(config: PoliciesConfig) -> None:
@@ -59,13 +64,14 @@ def main(config: PoliciesConfig) -> None:
 def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
     """Lists the options of all runs with one seed."""
     runs = []
-    for name in config.presets:
+    for name, reward in itertools.product(config.presets, config.rewards):
         preset = presets.HIGH[name]
         for maze in ("rooms",) if preset.task.num_rooms else config.mazes:
-            task = preset.task
+            task = dataclasses.replace(preset.task, reward=reward)
             if not task.num_rooms:
                 task = dataclasses.replace(task, maze=maze)
-            run = config.out / f"{name}-{maze}-{seed}"
+            words = [name, maze, *(["dense"] if reward == "dense" else []), str(seed)]
+            run = config.out / "-".join(words)
             runs.append(dataclasses.replace(preset, task=task, seed=seed, run=run, resume=True))
     return runs
 

@@ -86,6 +86,9 @@ class Network:
       num_iterations: of the planner, cells that values travel.
       cell_features: of the planner, width of the layer that looks at a cell.
       value_features: of the planner, width of the layer before the value.
+      around: of the planner, what it looks at beside a cell itself: nothing, the four cells at its
+        sides, or also the four at its corners.
+      optimism: of the planner, first worth of what hasn't been seen.
     """
 
     kind: Literal["patch", "planner"] = "patch"
@@ -95,6 +98,8 @@ class Network:
     num_iterations: int = 24
     cell_features: int = 8
     value_features: int = 32
+    around: Literal["nothing", "sides", "corners"] = "sides"
+    optimism: float = 1.0
 
     def __post_init__(self) -> None:
         """Checks sizes."""
@@ -106,6 +111,8 @@ class Network:
         checks.in_range("num_iterations", self.num_iterations, 0, 1000)
         checks.in_range("cell_features", self.cell_features, 1, 1024)
         checks.in_range("value_features", self.value_features, 1, 4096)
+        checks.one_of("around", self.around, ("nothing", "sides", "corners"))
+        checks.in_range("optimism", self.optimism, 0.0, 100.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

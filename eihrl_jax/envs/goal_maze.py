@@ -5,9 +5,11 @@ of the other mazes (`task`), but they know more than ours does: their own positi
 
 Observation: `base.GoalObs`. Action: controls in [-1, 1].
 Reward: sparse pays 1 for each goal region that the torso enters for the first time; dense pays
-1 / (1 + distance to the current goal) per control step (paper, App. D).
-End of an episode: terminated by the last goal, or by a simulation that breaks down; truncated at
-the maze's number of decisions times the robot's control steps per subgoal. A fall ends nothing.
+1 / (1 + distance to the current goal) per control step, and 1 once all have been visited (paper,
+App. D).
+End of an episode: terminated by the last goal, with sparse reward, or by a simulation that breaks
+down; truncated at the maze's number of decisions times the robot's control steps per subgoal. A
+fall ends nothing.
 Reset: as in `maze`.
 """
 
@@ -99,7 +101,7 @@ class GoalMaze:
         xy = physics.qpos[:2]
         nav, outcome = task.advance(self.course, walk.nav, xy[None])
         if self._reward == "dense":
-            outcome = outcome.replace(reward=task.dense_reward(self.course, nav, xy))
+            outcome = task.dense(self.course, nav, xy, outcome)
         outcome = outcome.replace(
             terminated=outcome.terminated | is_broken, truncated=outcome.truncated & ~is_broken
         )

@@ -8,8 +8,8 @@ Observation: bool [P, P, 3], a top view centred on the torso, north up; channels
 goal, robot; or a map of what has been seen (see `raster`).
 Action: int32, index of the direction in `base.DIRECTIONS_XY`.
 Reward: sparse, the number of goals entered for the first time; or dense, 1 / (1 + d), d the
-distance in units to the current goal.
-Termination: all goals visited; truncation: the maze's number of decisions.
+distance in units to the current goal, and 1 once all have been visited.
+Termination: all goals visited, with sparse reward; truncation: the maze's number of decisions.
 Reset: maze, door, start and posture are drawn anew.
 """
 
@@ -152,7 +152,7 @@ class OracleMaze:
         path_xy = self.move(inner.nav, inner.xy, displacement)
         nav, outcome = task.advance(course, inner.nav, path_xy)
         if self.reward == "dense":
-            outcome = outcome.replace(reward=task.dense_reward(course, nav, path_xy[-1]))
+            outcome = task.dense(course, nav, path_xy[-1], outcome)
         inner = Oracle(
             nav=nav,
             xy=path_xy[-1],

@@ -168,6 +168,26 @@ def success(course: Course, nav: Navigation) -> Float[Array, ""]:
     return visited / _of(course.mazes.num_goals, nav.maze).astype(jnp.float32)
 
 
+def dense(course: Course, nav: Navigation, xy: Float[Array, "2"], outcome: Outcome) -> Outcome:
+    """Turns the outcome of a decision into that of the dense task (paper, App. D.2).
+
+    Args:
+      course: the mazes.
+      nav: the episode after the decision.
+      xy: where the torso is then, units.
+      outcome: of the sparse task.
+
+    Returns:
+      The reward of `dense_reward`. The last goal ends nothing: who has arrived is paid 1 for every
+      decision that is left, for else it would pay to wait beside the goal.
+    """
+    return outcome.replace(
+        reward=dense_reward(course, nav, xy),
+        terminated=jnp.zeros_like(outcome.terminated),
+        truncated=nav.decisions >= _of(course.mazes.num_decisions, nav.maze),
+    )
+
+
 def current_goal_xy(course: Course, nav: Navigation) -> Float[Array, "2"]:
     """Returns the centre of the unvisited goal with the lowest number, units.
 

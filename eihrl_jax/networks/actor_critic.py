@@ -10,6 +10,10 @@ def make(options: high.Network) -> nn.Module:
     """Builds the network, which maps what the high level sees to logits and a value."""
     if options.kind == "planner":
         return planner.PlanningActorCritic(
-            options.num_iterations, options.cell_features, options.value_features
+            options.num_iterations,
+            options.cell_features,
+            options.value_features,
+            options.around,
+            options.optimism,
         )
     return patch_actor_critic.PatchActorCritic(options.tile, options.tile_features, options.hidden)

@@ -20,10 +20,6 @@ _FAINT = 0.03
 """Scale of the last layer's first weights: nothing but curiosity drives the first policy. Ten times
 as much, and one seed of five stood still for most of its training."""
 
-_OPTIMISM = 1.0
-"""First reward of a cell that hasn't been seen: the robot looks around before anything is learned,
-where chance would seldom take it to a goal that is far away."""
-
 
 class PlanningActorCritic(nn.Module):
     """Logits of the subgoals from the values of the four cells around the robot, and a value.
@@ -35,11 +31,17 @@ class PlanningActorCritic(nn.Module):
       num_iterations: cells that values travel.
       cell_features: width of the hidden layer that looks at a cell and those around it.
       value_features: width of the hidden layer before the value.
+      around: what is looked at beside a cell: "nothing", the four cells at its "sides", or also
+        those at its "corners".
+      optimism: first worth of a cell that hasn't been seen: the robot looks around before anything
+        is learned, where chance would seldom take it to a goal that is far away.
     """
 
     num_iterations: int = 24
     cell_features: int = 8
     value_features: int = 32
+    around: str = "sides"
+    optimism: float = 1.0
 
     @nn.compact
     def __call__(self, chart: Bool[Array, "n n 4"]) -> tuple[Float[Array, "4"], Float[Array, ""]]:
@@ -52,13 +54,13 @@ class PlanningActorCritic(nn.Module):
         # it from others, a planner stayed at 66 % where it reaches 98 without.
         wall, goal, _, unseen = jnp.moveaxis(chart, -1, 0).astype(jnp.float32)
         grid = jnp.stack([wall, goal, unseen])
-        features = jnp.concatenate([grid, sum(planning.neighbours(grid), jnp.zeros_like(grid))])
+        features = self._look_around(grid)
         trunk_init = nn.initializers.orthogonal(2**0.5)
         hidden = nn.Dense(self.cell_features, kernel_init=trunk_init)(jnp.moveaxis(features, 0, -1))
         outputs = nn.Dense(2, kernel_init=nn.initializers.orthogonal(_FAINT))(nn.relu(hidden))
         # That there is no way through a wall is known: a room without inner walls doesn't teach it.
         is_open = 1.0 - wall
-        optimism = self.param("optimism", nn.initializers.constant(_OPTIMISM), ())
+        optimism = self.param("optimism", nn.initializers.constant(self.optimism), ())
         reward = is_open * (outputs[..., 0] + optimism * unseen)
         gate = is_open * nn.sigmoid(outputs[..., 1] + _OPEN)
         values = planning.value_iteration(reward, gate, self.num_iterations)
@@ -70,3 +72,14 @@ class PlanningActorCritic(nn.Module):
         value_init = nn.initializers.orthogonal(0.01)
         value = nn.Dense(1, kernel_init=value_init, name="value")(seen)
         return jnp.exp(log_scale) * logits, value[0]
+
+    def _look_around(self, grid: Float[Array, "C n m"]) -> Float[Array, "F n m"]:
+        """Adds to each cell the sums over those at its sides, and at its corners."""
+        east, west, north, south = planning.neighbours(grid)
+        found = [grid]
+        if self.around != "nothing":
+            found.append(east + west + north + south)
+        if self.around == "corners":
+            _, _, above, below = planning.neighbours(east + west)
+            found.append(above + below)
+        return jnp.concatenate(found)

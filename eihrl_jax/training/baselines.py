@@ -26,11 +26,15 @@ class Arena:
     """A maze with a robot, and the baseline that learns in it.
 
     Attributes:
+      title: what is done where, in a few words.
       env: the maze.
+      side_xy: its sides, units.
       system: the baseline.
     """
 
-    env: goal_maze.GoalMaze
+    title: str
+    env: Any
+    side_xy: tuple[int, int]
     system: system_lib.System
 
 
@@ -48,7 +52,7 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
     trained_in = wrappers.auto_reset(env) if is_flat else env
     steps = int(env.course.mazes.num_decisions.max())
     system = system_lib.make(trained_in, engine.model.nu, env.side_xy, steps, config)
-    return Arena(env, system)
+    return Arena(f"{config.method} in {config.maze}", env, env.side_xy, system)
 
 
 def train(config: config_lib.BaselineConfig) -> None:
@@ -62,7 +66,15 @@ def train(config: config_lib.BaselineConfig) -> None:
     Raises:
       base.UserError: an option or the run folder is not as it should be.
     """
-    arena = make_arena(config)
+    train_in(make_arena(config), config)
+
+
+def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
+    """Does what `train` does, where and with what `arena` says.
+
+    Raises:
+      base.UserError: the run folder is not as it should be.
+    """
     system, per_row = arena.system, arena.system.steps_per_round * config.log_rounds
     with run_folder.RunFolder.create(
         config.run, config, resume=config.resume, may_change={"num_steps"}
@@ -71,8 +83,7 @@ def train(config: config_lib.BaselineConfig) -> None:
         state = jax.jit(system.init)(init_key)
         restored = run.restore(state)
         done, state = (0, state) if restored is None else restored
-        title = f"{config.method} in {config.maze}"
-        with progress_lib.Progress(title, config.num_steps, done=done) as progress:
+        with progress_lib.Progress(arena.title, config.num_steps, done=done) as progress:
             advance, evaluate = _compile(arena, config, state, progress)
             while done < config.num_steps:
                 state, metrics = advance(state)
@@ -82,6 +93,8 @@ def train(config: config_lib.BaselineConfig) -> None:
                 if count % config.evaluate_every == 0 or is_last:
                     key = jax.random.fold_in(measure_key, count)
                     found = metrics_lib.summarise(evaluate(system.policy(state), key))
+                    steps = found["decisions"] * arena.env.robot.steps_per_subgoal
+                    found["reward"] = found["return"] / steps
                     row |= {f"eval/{name}": value for name, value in found.items()}
                 run.log(done, row)
                 progress.update(done, _shown(row))
@@ -159,7 +172,7 @@ def _finish(
             "method": config.method,
             "maze": config.maze,
             "robot": arena.env.robot.name,
-            "side_xy": arena.env.side_xy,
+            "side_xy": arena.side_xy,
             "config": dataclasses.asdict(config),
             "num_steps": int(state.num_steps),
             "versions": versions.describe(),

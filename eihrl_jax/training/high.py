@@ -180,8 +180,9 @@ def _compile_evaluation(
     compiled = jax.jit(measure).lower(*_local((state.params, state.num_updates))).compile()
 
     def evaluate(state):
-        counts = compiled(*_local((state.params, state.num_updates)))
-        return {f"eval/{name}": value for name, value in summarise(counts).items()}
+        found = summarise(compiled(*_local((state.params, state.num_updates))))
+        found["reward"] = found["return"] / found["decisions"]
+        return {f"eval/{name}": value for name, value in found.items()}
 
     return evaluate
 

@@ -1,4 +1,3 @@
-import dataclasses
 import functools
 
 import jax
@@ -11,7 +10,7 @@ from eihrl_jax.agents import hierarchy
 from eihrl_jax.envs import maze as maze_env
 from eihrl_jax.envs import task
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import scene
+from tests.envs.sled import K, Sled
 
 TEXT = """\
 #####
@@ -21,26 +20,6 @@ TEXT = """\
 #####
 """
 EAST, WEST, NORTH, SOUTH = range(4)
-K = 5
-
-
-class Sled:
-    """Stands in for physics: the torso moves by a fifth of a cell times the first two controls."""
-
-    def __init__(self):
-        """Takes the ant's shape, with few control steps per subgoal."""
-        self.robot = dataclasses.replace(robots.load("ant"), steps_per_subgoal=K)
-        self.model = scene.build(self.robot)
-
-    def step(self, state, ctrl, walls_xy):
-        """Moves; the third control tips the robot over, the fourth breaks the simulation."""
-        del walls_xy
-        qpos = state.qpos.at[:2].add(base.CELL / K * ctrl[:2])
-        turned = jnp.array([0.0, 1.0, 0.0, 0.0])
-        qpos = qpos.at[3:7].set(jnp.where(ctrl[2] > 0.5, turned, qpos[3:7]))
-        qpos = qpos.at[7].set(jnp.where(ctrl[3] > 0.5, jnp.nan, qpos[7]))
-        is_moving = jnp.isfinite(ctrl).all()
-        return state.replace(qpos=jnp.where(is_moving, qpos, state.qpos))
 
 
 def drive(obs, key):

@@ -138,6 +138,16 @@ def test_dense_reward_is_that_of_the_lowest_unvisited_goal():
     assert task.dense_reward(course, nav.replace(visited=jnp.arange(9) < 3), xy) == 1.0
 
 
+def test_the_dense_task_goes_on_after_the_last_goal_and_pays_in_full():
+    course = task.prepare(mazes.load("u", num_decisions=2))
+    nav, outcome = task.advance(course, at(course), centre(1, 1)[None])
+    assert outcome.terminated
+    found = task.dense(course, nav, centre(7, 1), outcome)
+    assert (found.reward, found.terminated, found.truncated) == (1.0, False, False)
+    nav, outcome = task.advance(course, nav, centre(7, 1)[None])
+    assert task.dense(course, nav, centre(7, 1), outcome).truncated
+
+
 def test_dense_reward_of_a_door_and_its_least_value_in_the_random_square():
     course = task.prepare(mazes.load("random"))
     nav = at(course, door_ij=jnp.array([0, 7]))

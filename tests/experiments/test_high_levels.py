@@ -53,6 +53,17 @@ def test_every_preset_is_trained_in_every_maze_and_the_generalist_in_rooms(train
     assert meta["network"]["kind"] == "planner" and meta["view"]["map_radius"] == 2
 
 
+def test_runs_with_dense_reward_have_names_of_their_own(tmp_path):
+    options = train_policies.PoliciesConfig(
+        presets=("best",), mazes=("u",), rewards=("sparse", "dense"), seeds=(3,), out=tmp_path
+    )
+    runs = train_policies._options(options, 3)
+    assert {run.run.name: run.task.reward for run in runs} == {
+        "best-u-3": "sparse",
+        "best-u-dense-3": "dense",
+    }
+
+
 def test_finished_runs_are_shipped_with_their_metrics(trained, tmp_path, monkeypatch):
     monkeypatch.setattr(policies, "PRETRAINED", tmp_path)
     for _ in range(2):  # what is shipped is replaced
@@ -117,9 +128,10 @@ def test_bad_input_is_named(tmp_path):
 
 
 def test_variants_of_a_preset_are_trained_and_compared(tmp_path, monkeypatch):
-    monkeypatch.setattr(presets, "HIGH", {"paper": tiny("paper")})
+    monkeypatch.setattr(presets, "HIGH", {"best": tiny("best")})
     options = ablate_high.AblationConfig(
-        variants=("preset", "one posture", "1 worker"),
+        preset="best",
+        variants=("preset", "corners too", "entropy 0.02"),
         seeds=(0, 1),
         robot="point",
         movement=("oracle",),
@@ -131,19 +143,19 @@ def test_variants_of_a_preset_are_trained_and_compared(tmp_path, monkeypatch):
     labels = [line.split(" | ")[0].strip("| ") for line in lines[4:]]
     assert labels == [
         "preset, oracle",
-        "one posture, oracle",
-        "1 worker, oracle",
+        "corners too, oracle",
+        "entropy 0.02, oracle",
         "RAND-H, oracle",
     ]
     assert lines[4].count("±") == 4 and lines[7].count("±") == 0
     assert (tmp_path / "curves.png").stat().st_size > 10_000
-    trained = (tmp_path / "1-worker" / "seed-1" / "config.json").read_text()
-    assert '"num_workers": 1,' in trained
+    trained = (tmp_path / "entropy-0.02" / "seed-1" / "config.json").read_text()
+    assert '"entropy": 0.02,' in trained
 
 
 def test_every_variant_changes_something():
     for preset in (presets.high_paper(), presets.high_best()):
-        for name, change in ablate_high.VARIANTS.items():
+        for name, change in ablate_high.variants(preset.preset).items():
             assert (change(preset) == preset) == (name == "preset")
     with pytest.raises(base.UserError, match=r"variants = 'none' must be one of preset, "):
         ablate_high.AblationConfig(variants=("none",))

@@ -27,17 +27,20 @@ def directions_after(change):
     return found
 
 
+@pytest.mark.parametrize("around", ["nothing", "sides", "corners"])
 @pytest.mark.parametrize("turns", range(4))
 @pytest.mark.parametrize("is_mirrored", [False, True])
-def test_logits_turn_and_mirror_with_the_map(turns, is_mirrored):
+def test_logits_turn_and_mirror_with_the_map(turns, is_mirrored, around):
+    network = planner.PlanningActorCritic(6, 5, 4, around)
+
     def change(grid):
         return np.rot90(grid[:, ::-1] if is_mirrored else grid, turns)
 
     batch = charts(5)
-    params = NETWORK.init(jax.random.key(1), batch[0])
-    logits, _ = jax.vmap(NETWORK.apply, (None, 0))(params, batch)
+    params = network.init(jax.random.key(1), batch[0])
+    logits, _ = jax.vmap(network.apply, (None, 0))(params, batch)
     changed = jnp.stack([jnp.asarray(change(np.asarray(chart)).copy()) for chart in batch])
-    turned, _ = jax.vmap(NETWORK.apply, (None, 0))(params, changed)
+    turned, _ = jax.vmap(network.apply, (None, 0))(params, changed)
     np.testing.assert_allclose(turned[:, np.array(directions_after(change))], logits, atol=1e-5)
     assert (np.ptp(np.asarray(logits), axis=1) > 1e-4).sum() >= 4  # walls all around say nothing
 

@@ -1,0 +1,30 @@
+"""A stand-in for physics, of which a test knows what it does."""
+
+import dataclasses
+
+import jax.numpy as jnp
+
+from eihrl_jax import base, robots
+from eihrl_jax.physics import scene
+
+K = 5
+"""Control steps per subgoal."""
+
+
+class Sled:
+    """Stands in for physics: the torso moves by a fifth of a cell times the first two controls."""
+
+    def __init__(self):
+        """Takes the ant's shape, with few control steps per subgoal."""
+        self.robot = dataclasses.replace(robots.load("ant"), steps_per_subgoal=K)
+        self.model = scene.build(self.robot)
+
+    def step(self, state, ctrl, walls_xy):
+        """Moves; the third control tips the robot over, the fourth breaks the simulation."""
+        del walls_xy
+        qpos = state.qpos.at[:2].add(base.CELL / K * ctrl[:2])
+        turned = jnp.array([0.0, 1.0, 0.0, 0.0])
+        qpos = qpos.at[3:7].set(jnp.where(ctrl[2] > 0.5, turned, qpos[3:7]))
+        qpos = qpos.at[7].set(jnp.where(ctrl[3] > 0.5, jnp.nan, qpos[7]))
+        is_moving = jnp.isfinite(ctrl).all()
+        return state.replace(qpos=jnp.where(is_moving, qpos, state.qpos))

@@ -1,0 +1,82 @@
+"""The maze of control steps: what it shows, pays and counts, with a stand-in for physics."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eihrl_jax import base, mazes
+from eihrl_jax.envs import goal_maze
+from tests.envs.sled import K, Sled
+
+TEXT = """\
+#####
+#S.1#
+#.#.#
+#2..#
+#####
+"""
+EAST, STAY = jnp.zeros(8).at[0].set(1.0), jnp.zeros(8)
+
+
+@pytest.fixture(scope="module")
+def maze():
+    return mazes.parse(TEXT, num_decisions=3)
+
+
+def roll(env, ctrls):
+    """Returns the states of an episode whose controls are given."""
+    step = jax.jit(env.step)
+    found = [env.reset(jax.random.key(0))]
+    for ctrl in ctrls:
+        found.append(step(found[-1], ctrl))
+    return found
+
+
+def test_it_shows_position_goal_and_time(maze):
+    env = goal_maze.GoalMaze(Sled(), maze)
+    first, *_, last = roll(env, [EAST] * (2 * K))
+    np.testing.assert_allclose(first.obs.goal_xy, [3.5 * base.CELL, -1.5 * base.CELL])
+    np.testing.assert_allclose(last.obs.xy - first.obs.xy, [2 * base.CELL, 0.0], atol=1e-4)
+    # Goal 1 has been reached, so goal 2 is next.
+    np.testing.assert_allclose(last.obs.goal_xy, [1.5 * base.CELL, -3.5 * base.CELL])
+    assert last.obs.time == pytest.approx(2 * K / base.TIME_UNIT)
+    assert env.side_xy == (15, 15)
+
+
+def test_goals_pay_once_and_time_is_counted_in_decisions(maze):
+    states = roll(goal_maze.GoalMaze(Sled(), maze), [EAST] * (2 * K) + [STAY] * K)
+    assert sum(float(state.reward) for state in states) == 1.0
+    assert states[-1].metrics["success"] == 0.5 and states[-1].metrics["return"] == 1.0
+    assert [float(states[t].metrics["decisions"]) for t in (0, 1, K, K + 1)] == [0, 1, 1, 2]
+    assert [bool(state.truncated) for state in states[-2:]] == [False, True]
+    assert not any(bool(state.terminated) for state in states)
+
+
+def test_the_last_goal_ends_an_episode_which_then_rests(maze):
+    env = goal_maze.GoalMaze(Sled(), mazes.parse(TEXT.replace("2", "."), num_decisions=3))
+    states = roll(env, [EAST] * (3 * K))
+    ends = [t for t, state in enumerate(states) if state.terminated]
+    assert ends and sum(float(state.reward) for state in states) == 1.0
+    at_end = states[ends[0]]
+    np.testing.assert_array_equal(states[-1].obs.xy, at_end.obs.xy)
+    assert states[-1].metrics["decisions"] == at_end.metrics["decisions"]
+    assert states[-1].reward == 0.0 and not states[-1].truncated
+
+
+def test_dense_reward_grows_on_the_way_and_stays_full_after_arrival():
+    maze = mazes.parse(TEXT.replace("2", "."), num_decisions=3)
+    states = roll(goal_maze.GoalMaze(Sled(), maze, reward="dense"), [EAST] * (3 * K))
+    rewards = [float(state.reward) for state in states[1:]]
+    way = rewards[: rewards.index(1.0)]
+    assert way == sorted(way) and 0.1 < way[0] < 1.0
+    assert set(rewards[len(way) :]) == {1.0}
+    assert not states[-1].terminated and states[-1].truncated
+
+
+def test_a_broken_simulation_terminates_and_a_fall_does_not(maze):
+    tip, breaks = STAY.at[2].set(1.0), STAY.at[3].set(1.0)
+    *_, fallen, broken = roll(goal_maze.GoalMaze(Sled(), maze), [tip, breaks])
+    assert fallen.metrics["fell"] == 1.0 and not fallen.terminated
+    assert broken.metrics["broke_down"] == 1.0 and broken.terminated and broken.reward == 0.0
+    assert jnp.isfinite(broken.obs.proprioception).all()
