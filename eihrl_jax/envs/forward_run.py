@@ -34,7 +34,7 @@ class Run(struct.PyTreeNode):
 
 
 class ForwardRun:
-    """Open floor. Metrics, so far in the episode: `return` and control steps, `decisions`."""
+    """Open floor. Metrics, so far in the episode: `return` and control `steps`."""
 
     def __init__(self, engine: engine_lib.Engine):
         """Takes what moves the robot."""
@@ -99,6 +99,6 @@ def _state(
         reward=reward,
         terminated=terminated,
         truncated=truncated,
-        metrics={"return": run.total_reward, "decisions": run.step.astype(jnp.float32)},
+        metrics={"return": run.total_reward, "steps": run.step.astype(jnp.float32)},
         key=key,
     )

@@ -48,7 +48,7 @@ class GoalMaze:
     """One maze, or a different one in every episode.
 
     Metrics, so far in the episode: `success` visited goals / goals, `decisions` control steps /
-    control steps per subgoal, `return`, and 0 or 1 for `fell` and `broke_down`.
+    control steps per subgoal, control `steps`, `return`, and 0 or 1 for `fell` and `broke_down`.
     """
 
     def __init__(
@@ -138,6 +138,7 @@ class GoalMaze:
             metrics={
                 "success": task.success(self.course, walk.nav),
                 "decisions": jnp.ceil(steps / self.robot.steps_per_subgoal),
+                "steps": steps,
                 "return": walk.total_reward,
                 "fell": walk.has_fallen.astype(jnp.float32),
                 "broke_down": walk.is_broken.astype(jnp.float32),

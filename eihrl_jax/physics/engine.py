@@ -69,12 +69,13 @@ def reset(qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> PhysicsState:
     )
 
 
-def make(robot: robot_lib.Robot, name: str = "mujoco") -> Engine:
+def make(robot: robot_lib.Robot, name: str = "mujoco", cell: float = base.CELL) -> Engine:
     """Returns an engine for a robot.
 
     Args:
       robot: the robot to drive.
       name: "mujoco" for the C engine on the processor's cores, "mjx" for JAX.
+      cell: side of a wall's box, units.
 
     Raises:
       base.UserError: the engine is unknown.
@@ -82,9 +83,9 @@ def make(robot: robot_lib.Robot, name: str = "mujoco") -> Engine:
     if name == "mujoco":
         from eihrl_jax.physics import mujoco_engine
 
-        return mujoco_engine.MujocoEngine(robot)
+        return mujoco_engine.MujocoEngine(robot, cell)
     if name == "mjx":
         from eihrl_jax.physics import mjx_engine
 
-        return mjx_engine.MjxEngine(robot)
+        return mjx_engine.MjxEngine(robot, cell)
     raise base.UserError(f"engine {name!r} is unknown; choose one of {', '.join(ENGINES)}")

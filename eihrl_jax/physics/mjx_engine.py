@@ -23,11 +23,12 @@ class MjxEngine:
     has; `mujoco_engine.MujocoEngine` is the faster one there.
     """
 
-    def __init__(self, robot: robot_lib.Robot, *, impl: str = "jax"):
+    def __init__(self, robot: robot_lib.Robot, cell: float = base.CELL, *, impl: str = "jax"):
         """Compiles the robot's scene and puts it on the device.
 
         Args:
           robot: the robot to drive.
+          cell: side of a wall's box, units.
           impl: MJX's own implementation, "jax"; or "warp" where the package `warp-lang` and an
             NVIDIA GPU are.
 
@@ -36,7 +37,7 @@ class MjxEngine:
             it uses.
         """
         self.robot = robot
-        self.model = scene.build(robot)
+        self.model = scene.build(robot, cell)
         try:
             self._model = mjx.put_model(self.model, impl=impl)
             self._data = mjx.make_data(self.model, impl=impl)

@@ -21,14 +21,14 @@ class MujocoEngine:
     so results depend neither on the batch nor on the number of threads.
     """
 
-    def __init__(self, robot: robot_lib.Robot):
-        """Compiles the robot's scene.
+    def __init__(self, robot: robot_lib.Robot, cell: float = base.CELL):
+        """Compiles the robot's scene with walls of `cell` units.
 
         Raises:
           base.UserError: the robot's MJCF can't be read or compiled.
         """
         self.robot = robot
-        self.model = scene.build(robot)
+        self.model = scene.build(robot, cell)
         self._batches: dict[int, mujoco_batch.Batch] = {}
         self._lock = threading.Lock()  # JAX may run two programs' callbacks at once
 
@@ -77,8 +77,8 @@ class MujocoEngine:
         """Returns the simulations for `num_rows` rows, made on first use."""
         if num_rows not in self._batches:
             rows = mujoco_batch.Batch(self.model, num_rows)
-            half = base.CELL / 2
-            rows.bind("mocap_pos")[..., 2] = half
+            wall = self.model.body("wall_0").id
+            rows.bind("mocap_pos")[..., 2] = self.model.body_pos[wall, 2]
             self._batches[num_rows] = rows
         return self._batches[num_rows]
 

@@ -27,7 +27,7 @@ _CONTACT = {
 }
 
 
-def build(robot: robot_lib.Robot) -> mujoco.MjModel:
+def build(robot: robot_lib.Robot, cell: float = base.CELL) -> mujoco.MjModel:
     """Compiles the scene of a robot.
 
     Floor and walls collide with the robot's geoms only. Walls are mocap boxes of one cell, as high
@@ -35,6 +35,7 @@ def build(robot: robot_lib.Robot) -> mujoco.MjModel:
 
     Args:
       robot: the robot; its MJCF holds neither floor nor walls.
+      cell: side of a wall's box, units.
 
     Returns:
       The model; mocap bodies 0 to `robot.num_walls - 1` are the walls.
@@ -65,7 +66,7 @@ def build(robot: robot_lib.Robot) -> mujoco.MjModel:
         conaffinity=BOTH | FLOOR_ONLY,
         **_CONTACT,
     )
-    half = base.CELL / 2
+    half = cell / 2
     for i in range(robot.num_walls):
         body = spec.worldbody.add_body(name=f"wall_{i}", mocap=True, pos=[*PARKED_XY, half])
         body.add_geom(

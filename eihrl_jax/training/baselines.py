@@ -93,8 +93,7 @@ def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
                 if count % config.evaluate_every == 0 or is_last:
                     key = jax.random.fold_in(measure_key, count)
                     found = metrics_lib.summarise(evaluate(system.policy(state), key))
-                    steps = found["decisions"] * arena.env.robot.steps_per_subgoal
-                    found["reward"] = found["return"] / steps
+                    found["reward"] = found["return"] / found["steps"]
                     row |= {f"eval/{name}": value for name, value in found.items()}
                 run.log(done, row)
                 progress.update(done, _shown(row))

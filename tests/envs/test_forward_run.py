@@ -15,7 +15,7 @@ def test_speed_pays_and_controls_cost():
     state = jax.jit(env.step)(state, GO)
     # Half of a fifth of a cell in 0.1 s is 3 units per second.
     assert state.reward == pytest.approx(3.0 + 1.0 - 0.5 * 0.25, rel=1e-4)
-    assert state.metrics["return"] == state.reward and state.metrics["decisions"] == 1.0
+    assert state.metrics["return"] == state.reward and state.metrics["steps"] == 1.0
     assert not (state.terminated | state.truncated)
 
 

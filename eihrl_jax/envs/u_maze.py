@@ -1,0 +1,158 @@
+"""HIGL's ant maze, the U of HIRO with cells of four units: for comparison with published figures.
+
+Observation and action: those of `goal_maze`. Coordinates are those of our mazes (see `base`), in
+which HIGL's origin, the middle of the start cell, lies at `START_XY`.
+Reward: sparse, 0 within `RADIUS` of the goal, else -1; or dense, minus the distance to the goal.
+End of an episode: truncated after 500 control steps; where `ends_at_goal`, as in the evaluation,
+terminated within `RADIUS` of the goal; terminated by a simulation that breaks down.
+Reset: the ant stands in the start cell, turned at random; the goal is drawn uniformly from a square
+that holds the maze's inside, walls included, or is the far end of the U.
+
+Source: Kim et al. 2021, Appendix; Nachum et al. 2018.
+"""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax import base
+from eihrl_jax.envs import locomotion
+from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import walls
+
+CELL = 4.0
+TEXT = "#####\n#1..#\n###.#\n#S..#\n#####\n"
+START_XY = (1.5 * CELL, -3.5 * CELL)
+GOALS = (-2.0, 10.0)
+"""Least and greatest x and y of goals in training, from `START_XY`."""
+
+FAR_XY = (0.0, 8.0)
+"""The goal of the evaluation, from `START_XY`."""
+
+RADIUS = 2.5
+EPISODE_STEPS = 500
+
+
+class UWalk(struct.PyTreeNode):
+    """The state of an episode.
+
+    Attributes:
+      physics: the ant.
+      goal_xy: float32 [2], units.
+      has_arrived: whether it has been at the goal.
+      total_reward: float32, rewards of the episode so far.
+      step: int32, control steps so far.
+    """
+
+    physics: engine_lib.PhysicsState
+    goal_xy: Float[Array, "2"]
+    has_arrived: Bool[Array, ""]
+    total_reward: Float[Array, ""]
+    step: Int[Array, ""]
+
+
+class UMaze:
+    """The maze; metrics `success` (has been at the goal), `steps` (control steps), `return`."""
+
+    side_xy = (20, 20)
+
+    def __init__(
+        self,
+        engine: engine_lib.Engine,
+        maze: maze_lib.Maze,
+        *,
+        reward: Literal["sparse", "dense"] = "sparse",
+        is_evaluation: bool = False,
+    ):
+        """Takes what moves the ant.
+
+        Args:
+          engine: with walls of `CELL` units.
+          maze: of `TEXT`.
+          reward: see the module.
+          is_evaluation: whether the goal is the far one, and ends the episode.
+        """
+        self.robot = engine.robot
+        self._engine = engine
+        self._maze = maze
+        self._reward = reward
+        self._is_evaluation = is_evaluation
+
+    def reset(self, key: Key[Array, ""]) -> base.EnvState:
+        """Draws a new episode; the key is consumed."""
+        next_key, goal_key, pose_key = jax.random.split(key, 3)
+        start_xy = jnp.array(START_XY)
+        drawn = jax.random.uniform(goal_key, (2,), minval=GOALS[0], maxval=GOALS[1])
+        goal_xy = start_xy + (jnp.array(FAR_XY) if self._is_evaluation else drawn)
+        no = jnp.zeros((), bool)
+        walk = UWalk(
+            physics=locomotion.draw_pose(self._engine, start_xy, pose_key),
+            goal_xy=goal_xy,
+            has_arrived=no,
+            total_reward=jnp.float32(0.0),
+            step=jnp.int32(0),
+        )
+        return _state(walk, jnp.float32(0.0), no, no, next_key)
+
+    def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
+        """Advances one control step; an episode that is over rests, and pays nothing."""
+        walk: UWalk = state.inner
+        is_running = ~(state.terminated | state.truncated)
+        # The maze's functions count in our cells, which are smaller.
+        scale = CELL / base.CELL
+        near = scale * walls.nearby(self._maze, walk.physics.qpos[:2] / scale, self.robot.num_walls)
+        stepped = self._engine.step(walk.physics, jnp.where(is_running, action, jnp.nan), near)
+        is_broken = ~jnp.isfinite(jnp.concatenate([stepped.qpos, stepped.qvel])).all()
+        physics = jax.tree.map(
+            lambda new, old: jnp.where(is_broken, old, new), stepped, walk.physics
+        )
+        distance = jnp.sqrt(jnp.square(physics.qpos[:2] - walk.goal_xy).sum())
+        is_there = distance <= RADIUS
+        reward = -distance if self._reward == "dense" else jnp.where(is_there, 0.0, -1.0)
+        step = walk.step + 1
+        moved = UWalk(
+            physics=physics,
+            goal_xy=walk.goal_xy,
+            has_arrived=walk.has_arrived | is_there,
+            total_reward=walk.total_reward + reward,
+            step=step,
+        )
+        terminated = is_broken | (is_there & self._is_evaluation)
+        is_late = (step >= EPISODE_STEPS) & ~terminated
+        rested = state.replace(reward=jnp.float32(0.0))
+        return jax.tree.map(
+            lambda new, old: jnp.where(is_running, new, old),
+            _state(moved, reward, terminated, is_late, state.key),
+            rested,
+        )
+
+
+def _state(
+    walk: UWalk, reward: Float[Array, ""], terminated: Array, truncated: Array, key: Key[Array, ""]
+) -> base.EnvState:
+    """Puts together what `reset` and `step` return."""
+    steps = walk.step.astype(jnp.float32)
+    obs = base.GoalObs(
+        xy=walk.physics.qpos[:2],
+        proprioception=jnp.concatenate([walk.physics.qpos[2:], walk.physics.qvel]),
+        goal_xy=walk.goal_xy,
+        time=steps / base.TIME_UNIT,
+    )
+    return base.EnvState(
+        inner=walk,
+        obs=obs,
+        final_obs=obs,
+        reward=reward,
+        terminated=terminated,
+        truncated=truncated,
+        metrics={
+            "success": walk.has_arrived.astype(jnp.float32),
+            "steps": steps,
+            "return": walk.total_reward,
+        },
+        key=key,
+    )
