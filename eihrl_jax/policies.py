@@ -18,7 +18,7 @@ from eihrl_jax.training import checkpoint
 
 Kind = Literal["high", "low", "baseline"]
 
-_KINDS = {"high": "a high-level policy", "low": "a low-level policy", "baseline": "a baseline"}
+_NOUNS = {"high": "high-level policy", "low": "low-level policy", "baseline": "baseline"}
 
 PRETRAINED = pathlib.Path(__file__).parent / "pretrained"
 """Folder of the shipped policies."""
@@ -72,7 +72,7 @@ def load(
     """
     meta = json.loads(checkpoint.read_file(path, "meta.json"))
     if meta["kind"] != kind:
-        raise base.UserError(f"{path} is {_KINDS[meta['kind']]}, expected {_KINDS[kind]}")
+        raise base.UserError(f"{path} is a {_NOUNS[meta['kind']]}, expected a {_NOUNS[kind]}")
     if robot is not None and meta.get("robot") != robot:
         raise base.UserError(
             f"{path} is a policy of robot {meta.get('robot')!r}, expected {robot!r}"
@@ -94,9 +94,22 @@ def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
     if (path / "config.json").is_file():
         raise base.UserError(f"{path} holds no final policy yet: its training isn't finished")
     raise base.UserError(
-        f"{name} is neither a policy nor a finished run; what is shipped of the kind "
-        f"{kind!r}: " + (", ".join(shipped(kind)) or "nothing")
+        f"{name} is neither a policy nor a finished run; shipped {_NOUNS[kind]} names: "
+        + (", ".join(shipped(kind)) or "none")
     )
+
+
+def kind_of(name: str | pathlib.Path) -> Kind | None:
+    """Tells what `name`, as `find` takes it, holds; None if it holds no policy.
+
+    Raises:
+      UserError: it holds a damaged one.
+    """
+    path = pathlib.Path(name)
+    for candidate in (path, path / FOLDER, *(PRETRAINED / name / kind for kind in _NOUNS)):
+        if checkpoint.is_complete(candidate):
+            return json.loads(checkpoint.read_file(candidate, "meta.json"))["kind"]
+    return None
 
 
 def shipped(kind: Kind) -> list[str]:

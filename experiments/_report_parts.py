@@ -18,8 +18,8 @@ PRESETS = {"best": "ours, best", "paper": "ours, as in the paper", "generalist":
 """How the tables call the presets."""
 
 _CURVES = {
-    "sparse": ("eval/success", "success, %", 100.0),
-    "dense": ("eval/success", "success, %", 100.0),
+    "sparse": ("success", "success, %", 100.0),
+    "dense": ("success", "success, %", 100.0),
     "dense, average": ("eval/reward", "reward per decision", 1.0),
 }
 """What learning curves show: column of the metrics, axis and factor."""
@@ -202,7 +202,7 @@ def learning(runs: Runs) -> page.Section:
             runs.out.mkdir(parents=True, exist_ok=True)
             path = runs.out / f"learning-{maze}-{kind.replace(', ', '-')}.png"
             curves.save_spread(path, drawn, x_label="decisions", y_label=label, y_scale=scale)
-            caption = f"{maze}, {kind} reward: mean and range over seeds, subgoals sampled."
+            caption = f"{maze}, {kind} reward: mean and range over seeds while training."
             pictures.append(page.Picture(path, caption))
     return page.Section(
         title="Learning (Figures 5 and 6)",

@@ -28,7 +28,7 @@ def test_load_without_template(saved):
 
 
 def test_other_level_robot_and_size_are_refused(saved):
-    with pytest.raises(base.UserError, match="is a low-level policy, expected high-level"):
+    with pytest.raises(base.UserError, match="is a low-level policy, expected a high-level"):
         policies.load(saved, kind="high")
     with pytest.raises(base.UserError, match="of robot 'ant', expected 'point'"):
         policies.load(saved, kind="low", robot="point")
@@ -65,7 +65,11 @@ def test_find_takes_policy_run_and_shipped_name(saved, monkeypatch, tmp_path):
     policies.save(shipped, kind="low", params=PARAMS, meta={"robot": "ant"})
     assert policies.find("ant", "low") == shipped
     assert policies.shipped("low") == ["ant"]
-    with pytest.raises(base.UserError, match=r"walrus is neither .* shipped low-level .*: ant"):
+    assert policies.kind_of("ant") == policies.kind_of(saved) == "low"
+    assert policies.kind_of("walrus") is None
+    with pytest.raises(
+        base.UserError, match=r"walrus is neither .* shipped low-level policy names: ant"
+    ):
         policies.find("walrus", "low")
 
 

@@ -140,7 +140,7 @@ class Learner:
     num_workers: int = 64
     window: int | None = None
     looks_beyond_limit: bool = False
-    num_updates: int = 4000
+    num_updates: int = 8000
     gamma: float = 0.99
     lambda_: float = 1.0
     optimiser: Literal["rmsprop", "adam"] = "rmsprop"

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import pathlib
 from typing import Any
 
 import jax
@@ -87,11 +86,7 @@ class BaselineMaze:
 
 def is_baseline(name: str) -> bool:
     """Tells whether a name or a folder is a trained baseline's."""
-    path = pathlib.Path(name)
-    for candidate in (path, path / policies.FOLDER, policies.PRETRAINED / name / "baseline"):
-        if (candidate / "meta.json").is_file():
-            return json.loads((candidate / "meta.json").read_text()).get("kind") == "baseline"
-    return False
+    return policies.kind_of(name) == "baseline"
 
 
 def load(name: str, engine: engine_lib.Engine, stacked: mazes.Maze) -> BaselineMaze:

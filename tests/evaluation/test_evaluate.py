@@ -216,5 +216,5 @@ def test_policies_that_do_not_fit_are_refused(folder):
         systems.load_low(str(folder / "low"), robots.load("ant"))
     with pytest.raises(base.UserError, match=r"shape .* expected"):
         systems.load_low(str(folder / "wrong"), robots.load("point"))
-    with pytest.raises(base.UserError, match="expected high-level"):
+    with pytest.raises(base.UserError, match="expected a high-level"):
         systems.load_high(str(folder / "low"))
