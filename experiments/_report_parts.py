@@ -5,6 +5,7 @@ import itertools
 import pathlib
 from collections.abc import Callable
 
+from eihrl_jax import base
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.evaluation import comparison, curves, page, paper, results, tables
 from eihrl_jax.mazes import generators
@@ -27,6 +28,9 @@ _CURVES = {
 MOVEMENTS = {"oracle": "oracle", "full": "walking"}
 ROOM_SIDE = 9
 
+RAND_H = "RAND-H"
+"""What the paper calls uniform directions."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Runs:
@@ -39,6 +43,7 @@ class Runs:
       episodes: per maze and high level.
       slow_episodes: the same where swimmer or humanoid walk.
       num_rooms: generated rooms.
+      ablations: folders that `ablate_high` made.
     """
 
     folder: pathlib.Path
@@ -47,6 +52,7 @@ class Runs:
     episodes: int
     slow_episodes: int
     num_rooms: int
+    ablations: tuple[pathlib.Path, ...] = ()
 
     def highs(self, trained: str) -> tuple[str, ...]:
         """Lists the high levels trained alike, e.g. "best-random", one per seed."""
@@ -80,7 +86,7 @@ def table1(runs: Runs) -> page.Section:
         comparison.Row("paper, walking", published=paper.TABLE1["full"]),
         comparison.Row("paper, HIGL", published=paper.HIGL_TABLE1),
     ]
-    ours = _rows(evaluated | {"RAND-H": walkers})
+    ours = _rows(evaluated | {RAND_H: walkers})
     return page.Section(
         title="Zero-shot mazes (Table 1)",
         text="Trained on the Random Square with oracle movement and used unchanged in mazes it has "
@@ -211,12 +217,39 @@ def learning(runs: Runs) -> page.Section:
     )
 
 
+def ablations(runs: Runs) -> page.Section:
+    """What trainings with one thing changed reach, from folders of `ablate_high`."""
+    shown, pictures = [], []
+    for folder in runs.ablations:
+        found = sorted((folder / "evaluations").glob("*/eval.json"), key=_ablation_order)
+        if not found:
+            raise base.UserError(f"ablations = {folder} holds no evaluations/*/eval.json")
+        evaluated = {_variant(path): results.load(path).cells for path in found}
+        rows = [
+            comparison.Row(f"{label}, {name}", here)
+            for movement, name in MOVEMENTS.items()
+            for label, cells in evaluated.items()
+            if (here := comparison.select(cells, movement=movement))
+        ]
+        shown.append(comparison.success_by_maze(f"Ablations: {folder.name}", rows, TABLE1))
+        if (picture := folder / "curves.png").exists():
+            pictures.append(page.Picture(picture, f"Success while training, {folder.name}."))
+    return page.Section(
+        title="One thing changed at a time",
+        text="Trained on the Random Square with one option of the preset changed, then evaluated "
+        "as in Table 1: the oracle with an epsilon of 0.3 units, whatever the training had.",
+        tables=shown,
+        pictures=pictures,
+    )
+
+
 PARTS: dict[str, Callable[[Runs], page.Section]] = {
     "table1": table1,
     "trained": trained,
     "table2": table2,
     "more_time": more_time,
     "learning": learning,
+    "ablations": ablations,
 }
 """Parts of the report by name, in their order on the page."""
 
@@ -257,6 +290,18 @@ def _in_rooms(runs: Runs, preset: str, highs: tuple[str, ...]) -> tuple[results.
         animate="none",
         heatmaps=False,
     )
+
+
+def _ablation_order(path: pathlib.Path) -> tuple[int, str]:
+    """Puts the preset itself first and uniform directions last."""
+    name = _variant(path)
+    return {"preset": 0, RAND_H: 2}.get(name, 1), name
+
+
+def _variant(path: pathlib.Path) -> str:
+    """Returns what `ablate_high` calls the variant whose evaluation this is."""
+    folder = path.parent.name
+    return folder if folder == RAND_H else folder.replace("-", " ")
 
 
 def _metrics(folder: pathlib.Path) -> list[pathlib.Path]:

@@ -11,12 +11,9 @@ from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.evaluation import comparison, curves, tables
 from eihrl_jax.training import high, parallel
-from experiments import _cli, _runs
+from experiments import _cli, _report_parts, _runs
 
 Change = Callable[[high_config.HighConfig], high_config.HighConfig]
-
-RAND_H = "RAND-H"
-"""What the paper calls uniform directions."""
 
 
 def _task(**options: object) -> Change:
@@ -119,7 +116,7 @@ def main(config: AblationConfig) -> None:
     for seed in config.seeds:
         for name in chosen:
             _runs.finish(_options(config, name, seed), high.train)
-    for name in (*chosen, RAND_H):
+    for name in (*chosen, _report_parts.RAND_H):
         _runs.evaluated(_evaluation(config, name))
     table = compare(config)
     (config.out / "table.md").write_text(table)
@@ -141,7 +138,9 @@ def compare(config: AblationConfig) -> str:
         y_label="success while training, %",
         y_scale=100.0,
     )
-    evaluations = {name: _evaluation(config, name) for name in (*variants(config.preset), RAND_H)}
+    evaluations = {
+        name: _evaluation(config, name) for name in (*variants(config.preset), _report_parts.RAND_H)
+    }
     found = {
         name: _runs.evaluated(options)
         for name, options in evaluations.items()
@@ -168,7 +167,7 @@ def _options(config: AblationConfig, name: str, seed: int) -> high_config.HighCo
 def _evaluation(config: AblationConfig, name: str) -> evaluate_config.EvaluateConfig:
     """Returns the options with which what was trained alike is evaluated."""
     highs = (evaluate_config.RANDOM,)
-    if name != RAND_H:
+    if name != _report_parts.RAND_H:
         highs = tuple(str(_options(config, name, seed).run) for seed in config.seeds)
     return evaluate_config.EvaluateConfig(
         mazes=tuple(tables.TABLE1_MAZES),

@@ -27,6 +27,7 @@ class ReportConfig:
       episodes: per maze and high level.
       slow_episodes: the same where swimmer or humanoid walk.
       num_rooms: generated rooms, one episode in each.
+      ablations: folders of `ablate_high`, whose results are shown as they are.
       out: folder of the results.
     """
 
@@ -36,6 +37,7 @@ class ReportConfig:
     episodes: int = 500
     slow_episodes: int = 100
     num_rooms: int = 1_000
+    ablations: tuple[pathlib.Path, ...] = ()
     out: pathlib.Path = pathlib.Path("runs/report")
 
     def __post_init__(self) -> None:
@@ -58,6 +60,7 @@ def main(config: ReportConfig) -> None:
         episodes=config.episodes,
         slow_episodes=config.slow_episodes,
         num_rooms=config.num_rooms,
+        ablations=config.ablations,
     )
     found = [_report_parts.PARTS[part](runs) for part in config.parts]
     sections = [section for section in found if section.tables or section.pictures]

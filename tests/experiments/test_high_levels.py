@@ -18,11 +18,11 @@ def tiny(name, **task):
         network=high_config.Network(
             kind="planner", num_iterations=3, cell_features=2, value_features=2
         ),
-        learner=high_config.Learner(num_workers=4, window=6, num_updates=2),
+        learner=high_config.Learner(num_workers=4, window=24, num_updates=5),
         log_every=1,
-        evaluate_every=2,
+        evaluate_every=5,
         num_eval_episodes=4,
-        checkpoint_every=2,
+        checkpoint_every=5,
     )
 
 
@@ -151,6 +151,16 @@ def test_variants_of_a_preset_are_trained_and_compared(tmp_path, monkeypatch):
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     trained = (tmp_path / "entropy-0.02" / "seed-1" / "config.json").read_text()
     assert '"entropy": 0.02,' in trained
+    shown = dataclasses.replace(
+        report.ReportConfig(), parts=("ablations",), ablations=(tmp_path,), out=tmp_path / "report"
+    )
+    report.main(shown)
+    lines = (tmp_path / "report" / "tables.md").read_text().splitlines()
+    rows = [line.split(" | ")[0].strip("| ") for line in lines if "oracle |" in line]
+    assert sorted(rows) == sorted(labels) and (rows[0], rows[-1]) == (labels[0], labels[-1])
+    assert (tmp_path / "report" / "report.html").read_text().count("<img") == 1
+    with pytest.raises(base.UserError, match="holds no evaluations"):
+        report.main(dataclasses.replace(shown, ablations=(tmp_path / "report",)))
 
 
 def test_every_variant_changes_something():
