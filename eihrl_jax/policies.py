@@ -1,6 +1,6 @@
 """Final policies: parameters of one level as a small checkpoint, with what is needed to use them.
 
-A policy is a folder with `params/` (see `training.checkpoint`) and `meta.json`: which level (or
+A policy is a folder with `arrays/` (see `training.checkpoint`) and `meta.json`: which level (or
 that it is a whole baseline), which robot, sizes of network and view, the config, versions and
 steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run in `<run>/policy`.
 """

@@ -20,7 +20,7 @@ class EvaluateConfig:
 
     Attributes:
       mazes: names (random, u, s, spiral, g1, g2, g3) or text files; default: Table 1 of the paper.
-      robot: point, ant, swimmer or humanoid; several may be given.
+      robot: point, ant, swimmer, humanoid or description files (docs/robots.md).
       movement: oracle: the simulator moves the torso; full: the robot walks with its low level.
       high: run folders, policy folders or names of shipped policies; random: uniform directions.
         A baseline's run folder stands for the whole baseline, which only walks.

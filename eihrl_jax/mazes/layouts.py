@@ -1,6 +1,6 @@
 """The seven mazes of the paper as text (Figures 1 and 4, Table 3), sizes inside the outer ring.
 
-Legend: `#` wall, `.` free, `S` start candidate, `1`..`9` goal regions in order, `D` door
+Legend: `#` wall, `.` free, `S` start candidate, `1`..`9` goal regions, `D` door
 candidates of which one is drawn per episode and becomes goal 1 while the others are wall.
 """
 

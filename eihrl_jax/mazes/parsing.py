@@ -1,6 +1,6 @@
 """Turns the text of a maze into the pytree, and says by row and column what is wrong with it.
 
-Legend: `#` wall, `.` free, `S` start candidate, `1` to `9` goal regions in order, `D` door
+Legend: `#` wall, `.` free, `S` start candidate, `1` to `9` goal regions, `D` door
 candidates, of which one is drawn per episode and becomes goal 1 while the others are wall. The
 text includes the outer ring, which holds only walls, goals and doors. In messages rows and columns
 are counted from 1, as text editors do.

@@ -89,6 +89,7 @@ def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
                 state, metrics = advance(state)
                 done += per_row
                 row, count = metrics_lib.summarise(metrics), done // per_row
+                row["episodes"] = float(metrics["episodes"].sum())  # that ended since the last row
                 is_last = done >= config.num_steps
                 if count % config.evaluate_every == 0 or is_last:
                     key = jax.random.fold_in(measure_key, count)
