@@ -165,8 +165,10 @@ def higl() -> higl_config.HiglConfig:
 
 
 def hrac() -> higl_config.HiglConfig:
-    """HRAC: subgoals held to what is adjacent (Zhang et al. 2020)."""
-    return higl_config.HiglConfig(method="hrac", guidance="adjacency")
+    """HRAC: subgoals held to what is adjacent, within a period's steps (Zhang et al. 2020)."""
+    return higl_config.HiglConfig(
+        method="hrac", guidance="adjacency", adjacency=higl_config.Adjacency(steps=9)
+    )
 
 
 def hiro() -> higl_config.HiglConfig:

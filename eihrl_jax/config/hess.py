@@ -11,15 +11,13 @@ class Sac:
     """HESS's upper level: soft actor-critic with a fixed temperature.
 
     Attributes:
-      hidden: widths of the hidden layers, even numbers.
+      hidden: widths of the hidden layers.
       reach: greatest size of a displacement's entries in the subgoal space.
       learning_rate: of Adam.
       temperature: alpha.
       gamma: discount per subgoal.
       target_rate: tau of the moving average.
       batch_size: subgoals per update.
-      value_floor: targets are clipped to between this and 0, for rewards of 0 and -1; none: not
-        clipped, for rewards that are positive.
     """
 
     hidden: tuple[int, ...] = (256, 256)
@@ -29,7 +27,6 @@ class Sac:
     gamma: float = 0.99
     target_rate: float = 0.005
     batch_size: int = 128
-    value_floor: float | None = None
 
     def __post_init__(self) -> None:
         """Checks ranges."""
@@ -41,8 +38,6 @@ class Sac:
         checks.in_range("gamma", self.gamma, 0.0, 1.0)
         checks.in_range("target_rate", self.target_rate, above=0.0, high=1.0)
         checks.in_range("batch_size", self.batch_size, 1, 2**20)
-        if self.value_floor is not None:
-            checks.in_range("value_floor", self.value_floor, high=0.0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -161,7 +156,7 @@ class Exploration:
       first_episode: episodes before exploration begins.
       potential_episode: episodes before misses count and subgoals are extended.
       extension: by how much, away from the robot.
-      every: episodes between computations of novelty and of the share of exploration.
+      every: episodes between computations of novelty.
       success_weight: of the success while training; the share is sigmoid(1 - 2 weight success).
     """
 
@@ -202,6 +197,10 @@ class HessConfig(baselines.BaselineConfig):
       capacity: episodes that the memory holds, a multiple of `num_envs`.
       high_capacity: subgoals in the manager's memory.
       random_episodes: first episodes, in which the manager's subgoals are drawn uniformly.
+      costs_time: whether each control step costs the manager 1, which makes rewards of 1 and 0
+        those of 0 and -1 of the released code, and its targets are clipped to between minus the
+        episode's steps and 0. Else entropy, of which the temperature makes up to 0.3 per subgoal,
+        is worth more than a goal.
       manager: numbers of the upper level.
       controller: numbers of the lower level.
       representation: of the subgoal space.
@@ -212,6 +211,7 @@ class HessConfig(baselines.BaselineConfig):
     capacity: int = 1_000
     high_capacity: int = 48_000
     random_episodes: int = 300
+    costs_time: bool = True
     manager: Sac = Sac()
     controller: Ddpg = Ddpg()
     representation: Representation = Representation()

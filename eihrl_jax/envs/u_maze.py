@@ -89,8 +89,10 @@ class UMaze:
         drawn = jax.random.uniform(goal_key, (2,), minval=GOALS[0], maxval=GOALS[1])
         goal_xy = start_xy + (jnp.array(FAR_XY) if self._is_evaluation else drawn)
         no = jnp.zeros((), bool)
+        physics = locomotion.draw_pose(self._engine, start_xy, pose_key)
+        qpos = physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0]))  # as released
         walk = UWalk(
-            physics=locomotion.draw_pose(self._engine, start_xy, pose_key),
+            physics=engine_lib.reset(qpos, physics.qvel),
             goal_xy=goal_xy,
             has_arrived=no,
             total_reward=jnp.float32(0.0),

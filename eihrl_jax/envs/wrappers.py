@@ -33,7 +33,9 @@ class AutoReset:
 
     def step(self, state: base.EnvState, action: Array) -> base.EnvState:
         """Advances one step, and into the next episode where that ends one."""
-        ended = self.env.step(state, action)
+        # The flags may still be those of the episode before; the one in `inner` goes on.
+        no = jnp.zeros_like(state.terminated)
+        ended = self.env.step(state.replace(terminated=no, truncated=no), action)
         fresh = self.env.reset(ended.key)
         is_done = ended.terminated | ended.truncated
         inner, obs, key = jax.tree.map(

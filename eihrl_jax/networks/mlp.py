@@ -1,7 +1,7 @@
 """Plain networks of the baselines: dense layers with ReLU, drawn as PyTorch draws them.
 
-The released code of HIGL and HESS relies on PyTorch's initial weights, uniform within
-1 / sqrt(inputs), which are smaller than Flax's and so begin nearer to zero values.
+The released code of HIGL, and of HESS below its manager, relies on PyTorch's initial weights,
+uniform within 1 / sqrt(inputs), which are smaller than Flax's and so begin nearer to zero values.
 """
 
 from collections.abc import Sequence

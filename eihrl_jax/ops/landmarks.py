@@ -53,16 +53,20 @@ def cut_edges(
 def soft_paths(edges: Float[Array, "L L"], heat: float, rounds: int) -> Float[Array, "L L"]:
     """Values of the soft best paths between landmarks, up to 2^rounds edges long.
 
+    Staying at a landmark costs nothing: a soft walk loses value with every step, waiting included,
+    and after many doublings the best path would lead by the landmark that loses least.
+
     Args:
       edges: values of the edges, 0 on the diagonal.
       heat: inverse temperature of the softmax over places on the way.
       rounds: of doubling the paths' lengths.
 
-    Source: HIGL's released code.
+    Source: HIGL's released code, where the goal's own edge is what stays 0.
     """
+    own = jnp.eye(edges.shape[0], dtype=bool)
 
     def double(paths: Float[Array, "L L"], _: None) -> tuple[Float[Array, "L L"], None]:
-        return soft_join(paths, paths, heat), None
+        return jnp.where(own, 0.0, soft_join(paths, paths, heat)), None
 
     return jax.lax.scan(double, edges, length=rounds)[0]
 

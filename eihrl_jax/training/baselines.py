@@ -17,9 +17,6 @@ from eihrl_jax.training import metrics as metrics_lib
 from eihrl_jax.training import progress as progress_lib
 from eihrl_jax.training import run_folder, versions
 
-EVALUATION_STREAM = 1
-"""Folded into the seed's key for evaluation, whose draws must not be those of training."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Arena:

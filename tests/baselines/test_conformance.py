@@ -97,7 +97,9 @@ def test_metrics_are_numbers_and_episodes_are_counted(finished):
         rows = list(csv.DictReader(file))
     assert int(rows[-1]["step"]) >= finished.num_steps
     assert 0.0 <= float(rows[-1]["eval/success"]) <= 1.0
-    assert sum(float(row["episodes"]) for row in rows) >= finished.num_envs
+    # An episode is 50 steps long, or shorter where the goal is found by chance.
+    ended = sum(float(row["episodes"]) for row in rows)
+    assert finished.num_steps // 50 <= ended + finished.num_envs <= finished.num_steps / 10
     assert 0.0 < float(rows[-1]["eval/decisions"]) <= 2.0
     learned = [name for name in rows[-1] if "/" in name and not name.startswith("eval")]
     assert learned and all(math.isfinite(float(rows[-1][name])) for name in learned)

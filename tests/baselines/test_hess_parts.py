@@ -55,7 +55,7 @@ def test_the_manager_finds_the_action_that_an_observation_asks_for():
 
 
 def test_targets_are_clipped_where_a_floor_is_given():
-    agent = levels.Sac(2, 1, dataclasses.replace(SAC, value_floor=-5.0, temperature=0.0))
+    agent = levels.Sac(2, 1, dataclasses.replace(SAC, temperature=0.0), value_floor=-5.0)
 
     def body(state, key):
         batch_key, update_key = jax.random.split(key)
@@ -113,15 +113,15 @@ def test_drawn_steps_are_those_that_were_stored():
     np.testing.assert_array_equal(steps.subgoal[:, 0], np.where(t < 3, 1.0, 2.0))
 
 
-def test_beginnings_are_those_of_periods_that_there_were():
-    obs, is_there = memory.beginnings(stored_episodes())
-    assert obs[0, :, 0].tolist() == [0.0, 3.0]
+def test_ends_are_those_of_periods_that_there_were():
+    obs, is_there = memory.period_ends(stored_episodes())
+    assert obs[0, :, 0].tolist() == [3.0, 6.0]
     assert is_there.tolist() == [[True, True], [False, False]]
 
 
 def test_the_controller_is_paid_for_the_distance_and_its_task_ends_at_the_subgoal():
     options = config.HessConfig(controller=dataclasses.replace(DDPG, reward_scale=0.1))
-    learner = learning.Learning(1, 1, options)
+    learner = learning.Learning(1, 1, 10, options)
     steps = memory.Steps(
         obs=jnp.zeros((3, 1)),
         place=jnp.array([[0.0, 0.0], [2.95, 4.0], [3.0, 4.0]]),
@@ -195,7 +195,7 @@ def test_the_newest_place_within_reach_is_chosen_unless_it_was_missed():
     state = exploration.init()
     i, j = exploration.square(candidates, 1.0)
     state = state.replace(novelty=state.novelty.at[i, j].set(jnp.array([0.0, 5.0, 2.0, 0.1])))
-    state = exploration.miss(state, candidates[2:3], candidates[2:3] + 3.0, jnp.ones(1, bool), 1.0)
+    state = exploration.miss(state, candidates[2:3], jnp.array([4.2]), 1.0)
 
     def choose(has_potential, here=candidates[0]):
         return exploration.select(

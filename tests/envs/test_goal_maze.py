@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eihrl_jax import base, mazes
-from eihrl_jax.envs import goal_maze
+from eihrl_jax.envs import goal_maze, wrappers
 from tests.envs.sled import K, Sled
 
 TEXT = """\
@@ -51,6 +51,17 @@ def test_goals_pay_once_and_time_is_counted_in_decisions(maze):
     assert [float(states[t].metrics["decisions"]) for t in (0, 1, K, K + 1)] == [0, 1, 1, 2]
     assert [bool(state.truncated) for state in states[-2:]] == [False, True]
     assert not any(bool(state.terminated) for state in states)
+
+
+def test_an_episode_that_follows_another_by_itself_is_walked(maze):
+    env = wrappers.auto_reset(goal_maze.GoalMaze(Sled(), maze))
+    states = roll(env, [EAST] * (3 * 3 * K))
+    ends = [t for t, state in enumerate(states) if state.truncated]
+    assert ends == [3 * K, 6 * K, 9 * K]
+    for t in ends[:2]:
+        moved = states[t + K].obs.xy - states[t].obs.xy
+        np.testing.assert_allclose(moved, [base.CELL, 0.0], atol=1e-4)
+        assert states[t].obs.time == 0.0 and states[t + K].obs.time > 0.0
 
 
 def test_the_last_goal_ends_an_episode_which_then_rests(maze):

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from eihrl_jax.config import higl
 from eihrl_jax.ops import landmarks
 
 
@@ -42,6 +43,15 @@ def test_a_soft_path_is_no_better_than_the_best_one():
     soft = landmarks.soft_paths(edges, 0.9, 5)
     hard = landmarks.soft_paths(edges, 1e3, 5)
     assert (np.asarray(soft) <= np.asarray(hard) + 1e-4).all()
+
+
+def test_waiting_at_a_landmark_costs_nothing():
+    """A soft way over any number of near landmarks is hardly longer than the shortest."""
+    x = jnp.array([0.0, 0.1, 0.2, 5.0, 10.0, 10.1])
+    edges = -jnp.abs(x[:, None] - x[None])
+    paths = landmarks.soft_paths(edges, 0.9, higl.Landmarks().rounds)
+    np.testing.assert_allclose(paths, edges, atol=1.0)
+    assert (jnp.diagonal(paths) == 0.0).all()
 
 
 @pytest.mark.parametrize("heat", [0.5, 5.0])

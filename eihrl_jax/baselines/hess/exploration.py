@@ -49,14 +49,12 @@ def visit(
 def miss(
     state: ExplorationState,
     subgoal: Float[Array, "*B 2"],
-    reached: Float[Array, "*B 2"],
-    is_valid: Bool[Array, "*B"],
+    distance: Float[Array, "*B"],
     side: float,
 ) -> ExplorationState:
-    """Adds by how much subgoals were missed at the end of their periods."""
-    distance = jnp.sqrt(jnp.square(subgoal - reached).sum(-1))
+    """Adds by how much subgoals were missed at the end of their periods; 0 where none was."""
     i, j = square(subgoal, side)
-    return state.replace(misses=state.misses.at[i, j].add(jnp.where(is_valid, distance, 0.0)))
+    return state.replace(misses=state.misses.at[i, j].add(distance))
 
 
 def look_ahead(
@@ -67,12 +65,12 @@ def look_ahead(
 ) -> ExplorationState:
     """Computes every square's novelty anew from all stored episodes.
 
-    N_j = n(square of s_j) + gamma N_{j+1} along the beginnings of an episode's periods; a square's
+    N_j = n(square of s_j) + gamma N_{j+1} along the ends of an episode's periods; a square's
     novelty is (sum of N + 1) / (number + 1) over those that lie in it.
 
     Args:
       state: the counts so far.
-      place: where periods began, in the order of time.
+      place: where periods ended, in the order of time.
       is_valid: whether there was such a period.
       options: discount and side of a square.
     """

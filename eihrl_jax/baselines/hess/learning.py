@@ -42,18 +42,22 @@ class Learning:
       space: the representation.
     """
 
-    def __init__(self, num_seen: int, num_actions: int, options: config_lib.HessConfig):
+    def __init__(
+        self, num_seen: int, num_actions: int, episode_steps: int, options: config_lib.HessConfig
+    ):
         """Builds networks and optimisers.
 
         Args:
           num_seen: size F of what both levels see.
           num_actions: size A of the controller's action.
+          episode_steps: control steps of an episode.
           options: of the run.
         """
         self._options = options
         self._num_seen = num_seen
         size = representation.NUM_SUBGOAL
-        self.manager = levels.Sac(num_seen + 2, size, options.manager)
+        floor = -float(episode_steps) if options.costs_time else None
+        self.manager = levels.Sac(num_seen + 2, size, options.manager, floor)
         self.controller = levels.Ddpg(num_seen + 2 * size, num_actions, options.controller)
         self.space = representation.Representation(num_seen, options.period, options.representation)
 

@@ -43,9 +43,23 @@ class LevelState(struct.PyTreeNode):
 class Sac:
     """The upper level; actions lie within `reach` of zero."""
 
-    def __init__(self, num_features: int, num_actions: int, options: config_lib.Sac):
-        """Builds networks and optimiser for F features and A actions."""
+    def __init__(
+        self,
+        num_features: int,
+        num_actions: int,
+        options: config_lib.Sac,
+        value_floor: float | None = None,
+    ):
+        """Builds networks and optimiser for F features and A actions.
+
+        Args:
+          num_features: F.
+          num_actions: A.
+          options: hyper-parameters.
+          value_floor: targets are clipped to between this and 0; None: they aren't.
+        """
         self.options = options
+        self._value_floor = value_floor
         self._num_features, self._num_actions = num_features, num_actions
         self._actor = droq.Actor(num_actions, options.hidden)
         self._critic = mlp.Critic(options.hidden)
@@ -93,8 +107,8 @@ class Sac:
         action, log_prob = self._sample(state.actor_params, batch.next_obs, next_key)
         soft = self._values(state.target_critic_params, batch.next_obs, action).min(0)
         target = batch.reward + batch.discount * (soft - options.temperature * log_prob)
-        if options.value_floor is not None:
-            target = jnp.clip(target, options.value_floor, 0.0)
+        if self._value_floor is not None:
+            target = jnp.clip(target, self._value_floor, 0.0)
 
         def critic_loss(params: Any) -> Float[Array, ""]:
             values = self._values(params, batch.obs, batch.action / options.reach)

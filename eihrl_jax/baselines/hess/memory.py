@@ -96,12 +96,12 @@ def sample(memory: Episodes, shape: tuple[int, ...], key: Key[Array, ""]) -> Ste
     )
 
 
-def beginnings(memory: Episodes) -> tuple[Float[Array, "E J F"], Bool[Array, "E J"]]:
-    """Returns what was seen at the beginnings of all periods, and whether there were such."""
+def period_ends(memory: Episodes) -> tuple[Float[Array, "E J F"], Bool[Array, "E J"]]:
+    """Returns what was seen at the ends of all periods, and whether there were such."""
     num_periods = memory.subgoal.shape[1]
     period = memory.action.shape[1] // num_periods
     first = jnp.arange(num_periods, dtype=jnp.int32) * period
-    return memory.obs[:, :-1:period], first[None] < memory.length[:, None]
+    return memory.obs[:, period::period], first[None] < memory.length[:, None]
 
 
 def _arrays(memory: Episodes) -> dict[str, Array]:

@@ -94,18 +94,20 @@ class Hess:
         obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
         num_seen = jax.eval_shape(self.see, obs).shape[0]
         self._sizes = num_seen, num_actions
-        self._learning = learning.Learning(num_seen, num_actions, options)
+        self._learning = learning.Learning(num_seen, num_actions, episode_steps, options)
 
     def init(self, key: Key[Array, ""]) -> HessState:
         """Returns the state of a run that is about to start, its memories still empty."""
         key, learned_key, env_key = jax.random.split(key, 3)
         num_envs, capacity = self.options.num_envs, self.options.capacity
+        per_round = num_envs * self._num_periods
+        high_capacity = -(-self.options.high_capacity // per_round) * per_round
         episodes = memory.init(capacity, self.options.period, self._num_periods, self._sizes)
         return HessState(
             learned=self._learning.init(episodes.action.shape[1], learned_key),
             squares=exploration.init(),
             episodes=episodes,
-            high_memory=replay.init(self._learning.subgoal_row(), self.options.high_capacity),
+            high_memory=replay.init(self._learning.subgoal_row(), high_capacity),
             envs=jax.vmap(self._env.reset)(jax.random.split(env_key, num_envs)),
             key=key,
             success=jnp.float32(0.0),
@@ -193,7 +195,9 @@ class Hess:
     ) -> tuple[base.EnvState, periods.Period]:
         """Walks one episode in every environment; leading axes [J, c, N].
 
-        A subgoal has four entries: where to go in the subgoal space, and the manager's action.
+        A subgoal has seven entries: where to go in the subgoal space; the manager's action, which
+        leads there; the place that was chosen, of which this may lie beyond; and whether
+        exploration chose it.
         """
         params = state.learned.space.params
 
@@ -206,17 +210,14 @@ class Hess:
             return self._learning.controller.explore(action, key)
 
         def body(envs: base.EnvState, key: Key[Array, ""]) -> tuple[base.EnvState, periods.Period]:
-            draw_key, walk_key = jax.random.split(key)
-            count = self.options.exploration.num_candidates
-            candidates = memory.sample(state.episodes, (count,), draw_key).place
             return periods.walk(
                 self._env,
                 envs,
                 self.options.period,
-                functools.partial(self._choose, state, candidates),
+                functools.partial(self._choose, state),
                 act,
                 lambda subgoal, obs, next_obs: subgoal,
-                walk_key,
+                key,
             )
 
         envs = periods.renew(self._env, state.envs, jnp.ones(self.options.num_envs, bool))
@@ -225,16 +226,16 @@ class Hess:
     def _choose(
         self,
         state: HessState,
-        candidates: Float[Array, "C 2"],
         obs: base.GoalObs,
         is_first: Bool[Array, ""],
         key: Key[Array, ""],
-    ) -> Float[Array, "4"]:
+    ) -> Float[Array, "7"]:
         """Chooses where to go while exploring: see `_walk_round`."""
         del is_first
         options = self.options.exploration
-        share_key, act_key, any_key, select_key = jax.random.split(key, 4)
-        here = self._learning.space.place(state.learned.space.params, self.see(obs))
+        share_key, act_key, any_key, draw_key, select_key = jax.random.split(key, 5)
+        params = state.learned.space.params
+        here = self._learning.space.place(params, self.see(obs))
         own = self._learning.manager.act(
             state.learned.manager.actor_params, self._manager_features(obs), act_key
         )
@@ -242,6 +243,8 @@ class Hess:
         drawn = jax.random.uniform(any_key, own.shape, minval=-reach, maxval=reach)
         own = jnp.where(state.num_episodes < self.options.random_episodes, drawn, own)
 
+        drawn_steps = memory.sample(state.episodes, (options.num_candidates,), draw_key)
+        candidates = self._learning.space.place(params, drawn_steps.obs)
         has_potential = state.num_episodes >= options.potential_episode
         chosen = exploration.select(
             state.squares, here, candidates, has_potential, options, select_key
@@ -250,25 +253,30 @@ class Hess:
         length = jnp.sqrt(jnp.square(way).sum() + 1e-12)
         beyond = jnp.where(has_potential, options.extension, 0.0) * way / length
         is_exploring = jax.random.bernoulli(share_key, self._exploring_share(state))
-        action = jnp.where(is_exploring, jnp.clip(way, -reach, reach), own)
-        goal = jnp.where(is_exploring, chosen + beyond, here + own)
-        return jnp.concatenate([goal, action])
+        action = jnp.where(is_exploring, way + beyond, own)
+        place = jnp.where(is_exploring, chosen, here + own)
+        return jnp.concatenate(
+            [here + action, action, place, is_exploring.astype(jnp.float32)[None]]
+        )
 
     def _remember(self, state: HessState, walked: periods.Period) -> HessState:
-        """Stores a round, and counts where it led."""
-        batch = self._episode_batch(state.learned.space.params, walked)
-        by_period = batch.place[:, :: self.options.period]
-        began = walked.is_running[:, 0].T
+        """Stores a round, and counts where it led, once the subgoal space has been trained."""
+        space = state.learned.space
+        batch = self._episode_batch(space.params, walked)
+        reached = batch.place[:, self.options.period :: self.options.period]
+        chosen = walked.subgoal[:, 0].swapaxes(0, 1)
+        is_selected = walked.is_running[:, 0].T & (chosen[..., 6] > 0.0)
         square = self.options.exploration.square
         steps = jnp.arange(batch.place.shape[1], dtype=jnp.int32)
-        was_there = steps[None] <= batch.length[:, None]
+        was_there = (steps[None] <= batch.length[:, None]) & (space.num_blocks > 0)
         squares = exploration.visit(state.squares, batch.place, was_there, square)
-        aim = by_period[:, :-1] + walked.subgoal[:, 0, :, 2:].swapaxes(0, 1)
-        reached = by_period[:, 1:]
-        squares = exploration.miss(squares, aim, reached, began, square)
         distance = jnp.sqrt(jnp.square(batch.subgoal - reached).sum(-1))
-        miss = jnp.where(began, distance, 0.0).sum() / began.sum(dtype=jnp.float32)
+        distance = jnp.where(is_selected, distance, 0.0)
+        squares = exploration.miss(squares, chosen[..., 4:6], distance, square)
+        count = is_selected.sum(dtype=jnp.float32)
+        miss = distance.sum() / jnp.maximum(count, 1.0)
         known = jnp.where(jnp.isfinite(state.miss), state.miss, miss)
+        miss = jnp.where(count > 0, (1.0 - _RECENT) * known + _RECENT * miss, state.miss)
         ends = periods.summarise(walked)
         success = ends["sum_success"] / jnp.maximum(ends["episodes"], 1.0)
         return state.replace(
@@ -276,7 +284,7 @@ class Hess:
             episodes=memory.add(state.episodes, batch),
             high_memory=replay.add(state.high_memory, self._subgoal_rows(walked)),
             success=(1.0 - _RECENT) * state.success + _RECENT * success,
-            miss=(1.0 - _RECENT) * known + _RECENT * miss,
+            miss=miss,
             learned=state.learned.replace(space=_with_new_episodes(state, batch)),
         )
 
@@ -284,7 +292,7 @@ class Hess:
         """Computes the novelty of places anew where that is due."""
         options = self.options.exploration
         before = state.num_episodes - self.options.num_envs
-        obs, is_there = memory.beginnings(state.episodes)
+        obs, is_there = memory.period_ends(state.episodes)
         place = self._learning.space.place(state.learned.space.params, obs)
         return jax.lax.cond(
             state.num_episodes // options.every > before // options.every,
@@ -316,11 +324,12 @@ class Hess:
         first = jax.tree.map(lambda leaf: leaf[:, 0], walked.obs)
         last = jax.tree.map(lambda leaf: leaf[:, -1], walked.next_obs)
         ends = walked.terminated[:, -1].astype(jnp.float32)
-        paid = jnp.where(walked.is_running, walked.reward, 0.0).sum(1)
+        reward = walked.reward - (1.0 if self.options.costs_time else 0.0)
+        paid = jnp.where(walked.is_running, reward, 0.0).sum(1)
         rows = learning.SubgoalRow(
             transition=base.Transition(
                 obs=see(first),
-                action=walked.subgoal[:, 0, :, 2:],
+                action=walked.subgoal[:, 0, :, 2:4],
                 reward=paid,
                 discount=self.options.manager.gamma * (1.0 - ends),
                 next_obs=see(last),

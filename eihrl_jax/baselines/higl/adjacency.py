@@ -94,7 +94,7 @@ class AdjacencyNetwork:
         num = is_visited.sum(dtype=jnp.int32)
         squares = jnp.nonzero(is_visited, size=is_visited.shape[0], fill_value=0)[0]
         squares = squares.astype(jnp.int32)
-        pairs = num.astype(jnp.float32) ** 2
+        pairs = num.astype(jnp.float32) ** 2 / 2.0
         wanted = self.options.epochs * pairs / self.options.batch_size
         num_updates = jnp.minimum(wanted, self.options.max_updates).astype(jnp.int32)
 
