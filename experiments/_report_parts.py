@@ -9,7 +9,7 @@ from eihrl_jax import base
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.evaluation import comparison, curves, page, paper, results, tables
 from eihrl_jax.mazes import generators
-from experiments import _runs
+from experiments import _report_peers, _runs
 
 TABLE1 = tuple(tables.TABLE1_MAZES)
 TRAINED = ("u", "s", "spiral")
@@ -44,6 +44,7 @@ class Runs:
       slow_episodes: the same where swimmer or humanoid walk.
       num_rooms: generated rooms.
       ablations: folders that `ablate_high` made.
+      peers: folder of runs of `train_baseline`, `<method>-<maze>[-dense]-<seed>` each.
     """
 
     folder: pathlib.Path
@@ -53,6 +54,7 @@ class Runs:
     slow_episodes: int
     num_rooms: int
     ablations: tuple[pathlib.Path, ...] = ()
+    peers: pathlib.Path | None = None
 
     def highs(self, trained: str) -> tuple[str, ...]:
         """Lists the high levels trained alike, e.g. "best-random", one per seed."""
@@ -217,6 +219,11 @@ def learning(runs: Runs) -> page.Section:
     )
 
 
+def peers(runs: Runs) -> page.Section:
+    """The baselines' learning beside ours."""
+    return _report_peers.section(runs.folder, runs.peers, runs.out)
+
+
 def ablations(runs: Runs) -> page.Section:
     """What trainings with one thing changed reach, from folders of `ablate_high`."""
     shown, pictures = [], []
@@ -249,6 +256,7 @@ PARTS: dict[str, Callable[[Runs], page.Section]] = {
     "table2": table2,
     "more_time": more_time,
     "learning": learning,
+    "peers": peers,
     "ablations": ablations,
 }
 """Parts of the report by name, in their order on the page."""

@@ -28,6 +28,8 @@ class ReportConfig:
       slow_episodes: the same where swimmer or humanoid walk.
       num_rooms: generated rooms, one episode in each.
       ablations: folders of `ablate_high`, whose results are shown as they are.
+      peers: folder of runs of `train_baseline`, `<method>-<maze>[-dense]-<seed>` each, whose
+        learning is shown beside that of preset `best`.
       out: folder of the results.
     """
 
@@ -38,6 +40,7 @@ class ReportConfig:
     slow_episodes: int = 100
     num_rooms: int = 1_000
     ablations: tuple[pathlib.Path, ...] = ()
+    peers: pathlib.Path | None = None
     out: pathlib.Path = pathlib.Path("runs/report")
 
     def __post_init__(self) -> None:
@@ -61,6 +64,7 @@ def main(config: ReportConfig) -> None:
         slow_episodes=config.slow_episodes,
         num_rooms=config.num_rooms,
         ablations=config.ablations,
+        peers=config.peers,
     )
     found = [_report_parts.PARTS[part](runs) for part in config.parts]
     sections = [section for section in found if section.tables or section.pictures]

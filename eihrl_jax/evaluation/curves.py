@@ -93,6 +93,7 @@ def save_spread(
     x_label: str,
     y_label: str,
     y_scale: float = 1.0,
+    has_log_x: bool = False,
 ) -> None:
     """Draws the mean of each group of curves and its range over the group, as PNG.
 
@@ -102,8 +103,12 @@ def save_spread(
       x_label: what the horizontal axis is.
       y_label: what the vertical axis is, with its unit.
       y_scale: factor on the values, e.g. 100 for per cent.
+      has_log_x: whether the horizontal axis is logarithmic.
     """
     axes = new_axes(x_label, y_label)
+    if has_log_x:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=" "))
     lines = itertools.product(("-", "--", ":"), palette.CURVE)
     for (label, curves), (style, colour) in zip(groups.items(), itertools.cycle(lines)):
         length = min(map(len, curves))
@@ -134,8 +139,9 @@ def new_axes(x_label: str, y_label: str) -> matplotlib.axes.Axes:
 
 
 def write(axes: matplotlib.axes.Axes, path: pathlib.Path) -> None:
-    """Writes the picture of some axes, which begin at zero."""
-    axes.set_xlim(left=0.0)
+    """Writes the picture of some axes, which begin at zero unless they are logarithmic."""
+    if axes.get_xscale() == "linear":
+        axes.set_xlim(left=0.0)
     figure = axes.figure
     assert isinstance(figure, matplotlib.figure.Figure)
     backend_agg.FigureCanvasAgg(figure).print_png(str(path))
