@@ -123,8 +123,9 @@ class Learner:
       num_workers: synchronous workers, n in the paper.
       window: decisions per worker and update, after which values stand for the rest; None: whole
         episodes and Monte-Carlo returns, as the paper has it.
-      looks_beyond_limit: with a window, whether a value stands for what a time limit cut off; else
-        the limit is an end as in Algorithm 1, and the policy learns to be in time.
+      looks_beyond_limit: with a window, whether a value stands for what a time limit cut off, as it
+        does with dense reward in any case; else the limit is an end as in Algorithm 1, and the
+        policy learns to be in time.
       num_updates: updates in all; schedules end there.
       gamma: discount per decision (openai/baselines `a2c`).
       lambda_: weight of the returns that follow over the values; 1 is Algorithm 1.

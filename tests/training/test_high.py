@@ -96,6 +96,14 @@ def test_learner_that_does_not_fit_the_maze(tmp_path, options, message):
         high.make_agent(high.make_env(config.task), dataclasses.replace(config, learner=learner))
 
 
+@pytest.mark.parametrize("reward", ["sparse", "dense"])
+def test_values_look_beyond_the_limit_where_the_reward_is_dense(tmp_path, reward):
+    config = tiny(tmp_path)
+    config = dataclasses.replace(config, task=dataclasses.replace(config.task, reward=reward))
+    agent = high.make_agent(high.make_env(config.task), config)
+    assert agent.learner.looks_beyond_limit == (reward == "dense")
+
+
 @pytest.mark.parametrize(
     ("part", "options", "message"),
     [
