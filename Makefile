@@ -14,7 +14,7 @@ PYTHONS := python3.11 python3
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 12
 
-demo: $(READY) ## train the high level and evaluate the hierarchy in four mazes, about 4 minutes
+demo: $(READY) ## train the high level and evaluate the hierarchy in four mazes, about 3 minutes
 	$(BIN)/python -m experiments.demo
 
 test: $(READY) ## run the default tests on CPU
