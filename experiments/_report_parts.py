@@ -156,8 +156,9 @@ def table2(runs: Runs) -> page.Section:
         rows += _rows({preset: tuple(cells)})
     return page.Section(
         title="Zero-shot robots (Table 2)",
-        text="Trained in the U-shaped maze with the ant's postures, then unchanged with other "
-        f"robots; swimmer and humanoid walk {runs.slow_episodes} episodes per high level.",
+        text="Trained in the U-shaped maze as an ant, then unchanged as other robots. Who sees "
+        "postures was shown the ant's and is now shown the others'; preset best sees no robot. "
+        f"Swimmer and humanoid walk {runs.slow_episodes} episodes per high level.",
         tables=[comparison.success_by_robot("Table 2, Maze-U", rows, ROBOTS)],
         pictures=[
             picture

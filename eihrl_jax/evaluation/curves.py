@@ -117,7 +117,14 @@ def save_spread(
         axes.fill_between(x, y.min(0), y.max(0), color=colour, alpha=0.12, linewidth=0.0)
         axes.plot(x, y.mean(0), style, color=colour, linewidth=2.0, label=label)
     axes.set_ylim(bottom=0.0)
-    axes.legend(frameon=False, labelcolor=palette.INK, loc="upper right", fontsize=8, ncols=2)
+    axes.legend(  # above the axes, where no curve goes
+        frameon=False,
+        labelcolor=palette.INK,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        fontsize=8,
+        ncols=4,
+    )
     write(axes, path)
 
 
