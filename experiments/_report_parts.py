@@ -60,6 +60,13 @@ class Runs:
         """Lists the high levels trained alike, e.g. "best-random", one per seed."""
         return tuple(str(path) for path in sorted(self.folder.glob(f"{trained}-[0-9]*")))
 
+    def metrics(self, trained: str) -> list[pathlib.Path]:
+        """Lists the metrics of the same, in run folders or as shipped."""
+        names = ("metrics.csv", "high_metrics.csv")
+        folders = map(pathlib.Path, self.highs(trained))
+        files = [folder / name for folder in folders for name in names]
+        return [file for file in files if file.exists()]
+
     def evaluate(
         self, name: str, high: tuple[str, ...], **options: object
     ) -> tuple[results.Cell, ...]:
@@ -203,9 +210,7 @@ def learning(runs: Runs) -> page.Section:
         reward = "-dense" if kind.startswith("dense") else ""
         drawn = {}
         for preset, name in PRESETS.items():
-            highs = runs.highs(f"{preset}-{maze}{reward}")
-            files = [file for high in highs for file in _metrics(pathlib.Path(high))]
-            if files:
+            if files := runs.metrics(f"{preset}-{maze}{reward}"):
                 drawn[name] = [curves.read(path, "num_decisions", column) for path in files]
         if drawn:
             runs.out.mkdir(parents=True, exist_ok=True)
@@ -222,7 +227,7 @@ def learning(runs: Runs) -> page.Section:
 
 def peers(runs: Runs) -> page.Section:
     """The baselines' learning beside ours."""
-    return _report_peers.section(runs.folder, runs.peers, runs.out)
+    return _report_peers.section(runs.metrics, runs.peers, runs.out)
 
 
 def ablations(runs: Runs) -> page.Section:
@@ -311,10 +316,3 @@ def _variant(path: pathlib.Path) -> str:
     """Returns what `ablate_high` calls the variant whose evaluation this is."""
     folder = path.parent.name
     return folder if folder == RAND_H else folder.replace("-", " ")
-
-
-def _metrics(folder: pathlib.Path) -> list[pathlib.Path]:
-    """Lists the metrics of a run folder, or of a shipped high level."""
-    return [
-        path for name in ("metrics.csv", "high_metrics.csv") if (path := folder / name).exists()
-    ]

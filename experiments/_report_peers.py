@@ -20,11 +20,13 @@ OURS = "ours, oracle"
 Curve = Float[np.ndarray, "N 2"]
 
 
-def section(ours: pathlib.Path, peers: pathlib.Path | None, out: pathlib.Path) -> page.Section:
+def section(
+    ours: Callable[[str], list[pathlib.Path]], peers: pathlib.Path | None, out: pathlib.Path
+) -> page.Section:
     """Draws success, or with dense reward its mean per step, against episodes and control steps.
 
     Args:
-      ours: folder of high levels, `best-<maze>[-dense]-<seed>` each.
+      ours: finds the metrics of our high levels trained alike, e.g. "best-u" or "best-u-dense".
       peers: folder of runs of `train_baseline`, `<method>-<maze>[-dense]-<seed>` each; None: no
         picture.
       out: folder of the pictures.
@@ -41,7 +43,7 @@ def section(ours: pathlib.Path, peers: pathlib.Path | None, out: pathlib.Path) -
         runs = {} if peers is None else _runs(peers, task)
         if not runs:
             continue
-        runs |= {OURS: high} if (high := _ours(ours, task)) else {}
+        runs |= {OURS: high} if (high := ours(f"best-{task}")) else {}
         for axis, read in _AXES.items():
             drawn = {name: [read(file, f"eval/{y}") for file in runs[name]] for name in runs}
             path = out / f"peers-{task}-{axis.replace(' ', '-')}.png"
@@ -69,12 +71,6 @@ def _runs(folder: pathlib.Path, task: str) -> dict[str, list[pathlib.Path]]:
         for method, label in METHODS.items()
     }
     return {label: files for label, files in found.items() if files}
-
-
-def _ours(folder: pathlib.Path, task: str) -> list[pathlib.Path]:
-    """Finds the metrics of our high levels in a task, in run folders or as shipped."""
-    names = ("metrics.csv", "high_metrics.csv")
-    return [file for name in names for file in sorted(folder.glob(f"best-{task}-[0-9]*/{name}"))]
 
 
 def _by_steps(file: pathlib.Path, y: str) -> Curve:

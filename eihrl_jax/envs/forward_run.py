@@ -55,11 +55,8 @@ class ForwardRun:
         """Advances one control step; an episode that is over rests, and pays nothing."""
         run: Run = state.inner
         is_running = ~(state.terminated | state.truncated)
-        ctrl = jnp.where(is_running, action, jnp.nan)
-        stepped = self._engine.step(run.physics, ctrl, self._no_walls)
-        is_broken = ~jnp.isfinite(jnp.concatenate([stepped.qpos, stepped.qvel])).all()
-        physics = jax.tree.map(
-            lambda new, old: jnp.where(is_broken, old, new), stepped, run.physics
+        physics, is_broken = locomotion.advance(
+            self._engine, run.physics, action, self._no_walls, is_running
         )
         speed = (physics.qpos[0] - run.physics.qpos[0]) / self.robot.control_step
         reward = speed + 1.0 - 0.5 * jnp.square(action).sum()

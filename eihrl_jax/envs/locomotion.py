@@ -348,7 +348,18 @@ def move(
       The robot's state, and whether its simulation broke down, which leaves the state as it was.
     """
     near = walls.nearby(maze, physics.qpos[:2], engine.robot.num_walls)
-    stepped = engine.step(physics, jnp.where(is_running, ctrl, jnp.nan), near)
+    return advance(engine, physics, ctrl, near, is_running)
+
+
+def advance(
+    engine: engine_lib.Engine,
+    physics: engine_lib.PhysicsState,
+    ctrl: Float[Array, " nu"],
+    walls_xy: Float[Array, "W 2"],
+    is_running: Bool[Array, ""],
+) -> tuple[engine_lib.PhysicsState, Bool[Array, ""]]:
+    """Does what `move` does, with walls wherever `walls_xy` puts them, units."""
+    stepped = engine.step(physics, jnp.where(is_running, ctrl, jnp.nan), walls_xy)
     numbers = jnp.concatenate([stepped.qpos, stepped.qvel, ctrl])
     is_broken = is_running & ~jnp.isfinite(numbers).all()
     kept = jax.tree.map(lambda new, old: jnp.where(is_broken, old, new), stepped, physics)

@@ -107,10 +107,8 @@ class UMaze:
         # The maze's functions count in our cells, which are smaller.
         scale = CELL / base.CELL
         near = scale * walls.nearby(self._maze, walk.physics.qpos[:2] / scale, self.robot.num_walls)
-        stepped = self._engine.step(walk.physics, jnp.where(is_running, action, jnp.nan), near)
-        is_broken = ~jnp.isfinite(jnp.concatenate([stepped.qpos, stepped.qvel])).all()
-        physics = jax.tree.map(
-            lambda new, old: jnp.where(is_broken, old, new), stepped, walk.physics
+        physics, is_broken = locomotion.advance(
+            self._engine, walk.physics, action, near, is_running
         )
         distance = jnp.sqrt(jnp.square(physics.qpos[:2] - walk.goal_xy).sum())
         is_there = distance <= RADIUS

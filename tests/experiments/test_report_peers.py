@@ -42,8 +42,13 @@ def test_episodes_and_steps_are_counted_up_to_each_evaluation(folders):
         np.testing.assert_allclose(found, expected)
 
 
+def ours(folders):
+    """Finds our metrics as `_report_parts.Runs.metrics` does."""
+    return lambda trained: sorted((folders / "ours").glob(f"{trained}-[0-9]*/metrics.csv"))
+
+
 def test_every_task_that_a_peer_learned_has_its_pictures(folders):
-    section = _report_peers.section(folders / "ours", folders / "peers", folders / "out")
+    section = _report_peers.section(ours(folders), folders / "peers", folders / "out")
     assert [picture.path.name for picture in section.pictures] == [
         "peers-u-episodes.png",
         "peers-u-control-steps.png",
@@ -55,5 +60,5 @@ def test_every_task_that_a_peer_learned_has_its_pictures(folders):
 
 def test_a_folder_without_peers_is_named(folders):
     with pytest.raises(base.UserError, match="holds no <method>-<maze>-<seed>"):
-        _report_peers.section(folders / "ours", folders / "ours", folders / "out")
-    assert not _report_peers.section(folders / "ours", None, folders / "out").pictures
+        _report_peers.section(ours(folders), folders / "ours", folders / "out")
+    assert not _report_peers.section(ours(folders), None, folders / "out").pictures
