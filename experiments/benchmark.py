@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 from eihrl_jax import base
 from eihrl_jax.training import parallel, versions
-from experiments import _bench_high, _bench_low, _bench_physics, _cli
+from experiments import _bench_high, _bench_low, _bench_peers, _bench_physics, _cli
 
 Part = Literal[
     "speed",
@@ -18,6 +18,7 @@ Part = Literal[
     "episodes",
     "walking",
     "updates",
+    "peers",
 ]
 
 
@@ -70,6 +71,7 @@ def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
         "engines": _bench_physics.engine_deviations,
         "walking": _bench_low.walking_rate,
         "updates": _bench_low.updates_per_second,
+        "peers": _bench_peers.higl_rate,
         "episodes": lambda: _bench_high.full_episodes_seconds(
             config.out / "episodes", "best-random-0"
         ),
@@ -112,6 +114,11 @@ def _rows(part: str, result: Any) -> list[str]:
             "| DroQ updates per second, batch 256, actor every 20th | "
             f"{result['ours']:,.0f}; sbx {result['sbx']:,.0f}: {result['ratio']:.2f} times; "
             f"{100 * result['of_limit']:.0f} % of what {result['gflops']:,.0f} GFLOP/s allow |"
+        ]
+    if part == "peers":
+        return [
+            "| HIGL with its own settings, learning included | "
+            f"{result['rate']:.0f} control steps/s, {result['ratio']:.1f} times the published |"
         ]
     return [
         "| 500 episodes of the walking ant on the Random Square, past compilation | "

@@ -138,6 +138,23 @@ def test_the_planner_leads_along_the_landmarks():
     assert plan(10.0, 8.0) == [10.0, 9.0]  # near enough to go there itself
 
 
+def test_many_goals_are_planned_for_as_each_alone():
+    options = config.Landmarks(num_coverage=6, num_novel=1, pool=40, cutoff=-6.0, rounds=3)
+    planner = landmarks.Planner(Walker(), options)
+    controller = learning.td3.Td3State(*[None] * 6)
+    pool = jax.random.uniform(jax.random.key(1), (40, 2), maxval=20.0)
+    graph = planner.graph(controller, pool, novelty.Novelty(2, options).init(jax.random.key(0)))
+    goals = jax.random.uniform(jax.random.key(2), (40, 2), maxval=20.0)
+    all_at_once = planner.plan(controller, graph, pool, goals)  # more than are told apart
+    for some in (slice(0, 20), slice(20, 40)):
+        found = planner.plan(controller, graph, pool[some], goals[some])
+        np.testing.assert_allclose(found, all_at_once[some])
+    repeated = planner.plan(controller, graph, pool, goals[jnp.arange(40) % 3])
+    for i in range(40):
+        alone = planner.plan(controller, graph, pool[i : i + 1], goals[i % 3][None])
+        np.testing.assert_allclose(repeated[i], alone[0])
+
+
 @pytest.mark.parametrize("moved", [False, True])
 def test_the_controller_is_paid_for_the_distance_left(moved):
     options = config.HiglConfig(stores_moved_subgoal=moved)

@@ -3,6 +3,7 @@
 Kim et al. 2021, Landmark-guided subgoal generation in hierarchical reinforcement learning, Sec. 4.
 """
 
+import jax
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float
@@ -11,6 +12,10 @@ from eihrl_jax.baselines import td3
 from eihrl_jax.baselines.higl import novelty
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.ops import landmarks as ops
+
+
+_FEW = 32
+"""Distinct goals up to which each is measured only once; a maze's doors are fewer."""
 
 
 class Graph(struct.PyTreeNode):
@@ -80,12 +85,7 @@ class Planner:
         """
         num_places, num_landmarks = obs.shape[0], graph.obs.shape[0]
         landmark_xy = graph.obs[:, :2]
-        to_goal = self._values(
-            controller, graph.obs, jnp.broadcast_to(goal_xy[None], (num_landmarks, num_places, 2))
-        )
-        to_goal = jnp.where(graph.is_valid[:, None], to_goal, ops.UNREACHABLE)
-        to_goal = ops.cut_edges(to_goal, self._options.cutoff)
-        ways = ops.soft_join(graph.paths, to_goal, self._options.heat).T
+        ways = self._ways(controller, graph, goal_xy)
         targets = jnp.concatenate(
             [
                 jnp.broadcast_to(landmark_xy[None], (num_places, num_landmarks, 2)),
@@ -99,6 +99,27 @@ class Planner:
         chosen = landmark_xy[jnp.argmax(score, axis=1)]
         is_near = first[:, -1] > self._options.near
         return jnp.where(is_near[:, None], goal_xy, chosen)
+
+    def _ways(
+        self, controller: td3.Td3State, graph: Graph, goal_xy: Float[Array, "B 2"]
+    ) -> Float[Array, "B L"]:
+        """Returns the value of the best way from each landmark to each goal."""
+
+        def measure(goal_xy: Float[Array, "G 2"]) -> Float[Array, "G L"]:
+            targets = jnp.broadcast_to(goal_xy[None], (graph.obs.shape[0], *goal_xy.shape))
+            values = self._values(controller, graph.obs, targets)
+            values = jnp.where(graph.is_valid[:, None], values, ops.UNREACHABLE)
+            edges = ops.cut_edges(values, self._options.cutoff)
+            return ops.soft_join(graph.paths, edges, self._options.heat).T
+
+        goals, index, counts = jnp.unique(
+            goal_xy, axis=0, size=_FEW, return_inverse=True, return_counts=True
+        )
+        return jax.lax.cond(
+            counts.sum() == goal_xy.shape[0],
+            lambda: measure(goals)[index],
+            lambda: measure(goal_xy),
+        )
 
     def _values(
         self,

@@ -15,6 +15,9 @@ from eihrl_jax.config import higl as config_lib
 NUM_SUBGOAL = 2
 """A subgoal is a displacement of the torso in x and y, units."""
 
+_ROWS_AT_ONCE = 32
+"""Stored subgoals that are corrected together: what stays in the caches is twice as fast."""
+
 
 class Learned(struct.PyTreeNode):
     """All that is learned.
@@ -218,16 +221,19 @@ class Learning:
             features = landmarks.controller_features(seen, left)
             return self.controller.act(controller.actor_params, features)
 
-        def correct(row: relabelling.SubgoalRow, key: Key[Array, ""]) -> Float[Array, "2"]:
+        def correct(xs: tuple[relabelling.SubgoalRow, Key[Array, ""]]) -> Float[Array, "2"]:
+            row, key = xs
             reach, num = self.options.manager.reach, self.options.num_candidates
             return relabelling.correct(row, act, reach, num, key)
 
+        keys = jax.random.split(key, row.reward.shape[0])
+        action = jax.lax.map(correct, (row, keys), batch_size=_ROWS_AT_ONCE)
         ends = row.terminated
         if self.options.is_limit_terminal:
             ends = ends | row.truncated
         return base.Transition(
             obs=jnp.concatenate([row.obs[:, 0], row.goal_xy], axis=-1),
-            action=jax.vmap(correct)(row, jax.random.split(key, row.reward.shape[0])),
+            action=action,
             reward=self.options.reward_scale * row.reward,
             discount=self.options.manager.gamma * (1.0 - ends.astype(jnp.float32)),
             next_obs=jnp.concatenate([row.next_obs, row.next_goal_xy], axis=-1),
