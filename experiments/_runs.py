@@ -8,12 +8,15 @@ from typing import TypeVar
 
 from eihrl_jax import base, policies
 from eihrl_jax import config as config_lib
+from eihrl_jax.config import baselines as baselines_config
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.evaluation import evaluate, results
 
-RunT = TypeVar("RunT", low_config.LowConfig, high_config.HighConfig)
+RunT = TypeVar(
+    "RunT", low_config.LowConfig, high_config.HighConfig, baselines_config.BaselineConfig
+)
 
 
 def finish(options: RunT, train: Callable[[RunT], object]) -> None:
@@ -26,7 +29,9 @@ def finish(options: RunT, train: Callable[[RunT], object]) -> None:
         train(options)
 
 
-def is_finished(options: low_config.LowConfig | high_config.HighConfig) -> bool:
+def is_finished(
+    options: low_config.LowConfig | high_config.HighConfig | baselines_config.BaselineConfig,
+) -> bool:
     """Tells whether a run has its policy.
 
     Raises:

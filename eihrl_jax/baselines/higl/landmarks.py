@@ -13,7 +13,6 @@ from eihrl_jax.baselines.higl import novelty
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.ops import landmarks as ops
 
-
 _FEW = 32
 """Distinct goals up to which each is measured only once; a maze's doors are fewer."""
 
