@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from eihrl_jax import presets
+from eihrl_jax.baselines.higl import adjacency
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.training import baselines
 
@@ -35,26 +36,25 @@ def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> dict[s
     # No fit falls due while rounds are measured.
     places = dataclasses.replace(config.adjacency, period=2**31 - 1)
     timed = dataclasses.replace(config, maze=maze, landmarks=landmarks, adjacency=places)
-    system = baselines.make_arena(timed).system
+    arena = baselines.make_arena(timed)
+    system = arena.system
     state = jax.jit(system.init)(jax.random.key(0))
 
     def walk(state: Any) -> Any:
         return jax.lax.scan(lambda state, _: system.advance(state), state, length=rounds)[0]
 
     seconds = _median_seconds(walk, state, repeats) / (rounds * system.steps_per_round)
-    seconds += _fit_seconds(config, system, state) / config.adjacency.period
+    seconds += _fit_seconds(arena.side_xy, config.adjacency) / config.adjacency.period
     return {"rate": 1.0 / seconds, "ratio": 1.0 / seconds / PUBLISHED}
 
 
-def _fit_seconds(config: config_lib.HiglConfig, system: Any, state: Any) -> float:
+def _fit_seconds(side_xy: tuple[int, int], options: config_lib.Adjacency) -> float:
     """Measures a fit of the adjacency network after every square was visited."""
-    places = state.learned.places
-    everywhere = places.replace(table=jnp.ones_like(places.table))
-    learned = state.learned.replace(places=everywhere)
+    network = adjacency.AdjacencyNetwork(side_xy[1], side_xy[0], options)
     key = jax.random.key(0)
-    return _median_seconds(
-        lambda learned: system.learning.fit_places(learned, jnp.bool_(True), key)[0], learned, 1
-    )
+    state = network.init(key)
+    everywhere = state.replace(table=jnp.ones_like(state.table))
+    return _median_seconds(lambda state: network.fit(state, key)[0], everywhere, 1)
 
 
 def _median_seconds(function: Callable[[Any], Any], state: Any, repeats: int) -> float:

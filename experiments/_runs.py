@@ -4,7 +4,7 @@ import dataclasses
 import json
 import shutil
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from eihrl_jax import base, policies
 from eihrl_jax import config as config_lib
@@ -14,9 +14,13 @@ from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.evaluation import evaluate, results
 
-RunT = TypeVar(
-    "RunT", low_config.LowConfig, high_config.HighConfig, baselines_config.BaselineConfig
-)
+Run = low_config.LowConfig | high_config.HighConfig | baselines_config.BaselineConfig
+RunT = TypeVar("RunT", bound=Run)
+
+
+def name(what: str, maze: str, reward: Literal["sparse", "dense"], seed: int) -> str:
+    """Names a run folder: `<what>-<maze>[-dense]-<seed>`, as the report finds it."""
+    return "-".join([what, maze, *(["dense"] if reward == "dense" else []), str(seed)])
 
 
 def finish(options: RunT, train: Callable[[RunT], object]) -> None:
@@ -29,9 +33,7 @@ def finish(options: RunT, train: Callable[[RunT], object]) -> None:
         train(options)
 
 
-def is_finished(
-    options: low_config.LowConfig | high_config.HighConfig | baselines_config.BaselineConfig,
-) -> bool:
+def is_finished(options: Run) -> bool:
     """Tells whether a run has its policy.
 
     Raises:

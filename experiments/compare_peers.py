@@ -64,14 +64,13 @@ def options_of(
     config: CompareConfig, method: str, maze: str, reward: Literal["sparse", "dense"], seed: int
 ) -> baselines_config.BaselineConfig:
     """Returns the options of one run."""
-    task = maze if reward == "sparse" else f"{maze}-{reward}"
     return dataclasses.replace(
         _shortened(presets.BASELINES[method]),
         maze=maze,
         reward=reward,
         seed=seed,
         num_steps=config.num_steps,
-        run=config.out / f"{method}-{task}-{seed}",
+        run=config.out / _runs.name(method, maze, reward, seed),
         resume=True,
     )
 

@@ -70,8 +70,7 @@ def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
             task = dataclasses.replace(preset.task, reward=reward)
             if not task.num_rooms:
                 task = dataclasses.replace(task, maze=maze)
-            words = [name, maze, *(["dense"] if reward == "dense" else []), str(seed)]
-            run = config.out / "-".join(words)
+            run = config.out / _runs.name(name, maze, reward, seed)
             runs.append(dataclasses.replace(preset, task=task, seed=seed, run=run, resume=True))
     return runs
 

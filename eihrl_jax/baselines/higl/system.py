@@ -57,7 +57,6 @@ class Higl:
     Attributes:
       options: of the run.
       steps_per_round: control steps of all environments in a round.
-      learning: what it learns with.
     """
 
     def __init__(
@@ -82,13 +81,13 @@ class Higl:
         self._centre_xy = side_xy[0] / 2.0, -side_xy[1] / 2.0
         obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
         num_seen = jax.eval_shape(self.see, obs).shape[0]
-        self.learning = learning.Learning(num_seen, num_actions, side_xy, options)
+        self._learning = learning.Learning(num_seen, num_actions, side_xy, options)
 
     def init(self, key: Key[Array, ""]) -> HiglState:
         """Returns the state of a run that is about to start, its memories still empty."""
         key, learned_key, env_key = jax.random.split(key, 3)
         envs = jax.vmap(self._env.reset)(jax.random.split(env_key, self.options.num_envs))
-        learned = self.learning.init(learned_key)
+        learned = self._learning.init(learned_key)
         _, walked = jax.eval_shape(self._walk_round, _policy(learned), envs, key)
         steps, subgoals = jax.eval_shape(self._rows, walked)
         return HiglState(
@@ -117,15 +116,15 @@ class Higl:
         by_robot = jax.tree.map(
             lambda leaf: leaf.reshape(-1, self.options.num_envs, *leaf.shape[1:]), steps
         )
-        learned = self.learning.visit(state.learned, by_robot)
+        learned = self._learning.visit(state.learned, by_robot)
         has_landmarks = num_steps >= self.options.landmarks.first_step
-        learned, metrics = self.learning.learn(
+        learned, metrics = self._learning.learn(
             learned, memory, high_memory, has_landmarks, learn_key
         )
         if self.options.guidance != "none":
             every = self.options.adjacency.period
             is_due = num_steps // every > state.num_steps // every
-            learned, metrics["adjacency_loss"] = self.learning.fit_places(learned, is_due, fit_key)
+            learned, metrics["adjacency_loss"] = self._learning.fit_places(learned, is_due, fit_key)
         state = HiglState(
             learned=learned,
             memory=memory,
@@ -151,10 +150,10 @@ class Higl:
         """Returns controls in [-1, 1] without exploration, and what is to be remembered."""
         del key
         is_new = memory.steps_left == 0
-        chosen = self.learning.manager.act(policy["manager"], self._manager_features(obs))
+        chosen = self._learning.manager.act(policy["manager"], self._manager_features(obs))
         subgoal = jnp.where(is_new, chosen, memory.subgoal + memory.xy - obs.xy)
         features = landmarks.controller_features(self.see(obs), subgoal)
-        action = self.learning.controller.act(policy["controller"], features)
+        action = self._learning.controller.act(policy["controller"], features)
         left = jnp.where(is_new, jnp.int32(self.options.period), memory.steps_left) - 1
         memory = HiglMemory(subgoal=subgoal, xy=obs.xy, steps_left=left)
         return action / self.options.controller.reach, memory
@@ -176,7 +175,7 @@ class Higl:
 
         An episode's first subgoal has no noise.
         """
-        manager, controller = self.learning.manager, self.learning.controller
+        manager, controller = self._learning.manager, self._learning.controller
 
         def choose(obs: base.GoalObs, is_first: Bool[Array, ""], key: Key[Array, ""]) -> Array:
             subgoal = manager.act(policy["manager"], self._manager_features(obs))
