@@ -5,7 +5,7 @@ up, so row `i` and column `j` of the text lie around ((j + 1/2) * CELL, -(i + 1/
 are in MuJoCo units, called units.
 """
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, get_args, runtime_checkable
 
 from flax import struct
 from jaxtyping import Array, Bool, Float, Key
@@ -19,6 +19,11 @@ NUM_DIRECTIONS = 4
 DIRECTIONS_XY = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 """Unit vector of each subgoal."""
 
+
+Reward = Literal["sparse", "dense"]
+"""What a task pays for: goals that are reached, or nearness to the current one (paper, App. D)."""
+
+REWARDS: tuple[Reward, ...] = get_args(Reward)
 
 TIME_UNIT = 1_000.0
 """Control steps in which the time of a `GoalObs` grows by one (HIGL's released code)."""

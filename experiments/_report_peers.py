@@ -1,4 +1,4 @@
-"""Learning of the peers beside ours for `experiments.report` (paper, Figures 5 and 6)."""
+"""Learning of ours and the baselines for `experiments.report` (paper, Figures 5 and 6)."""
 
 import csv
 import itertools
@@ -9,68 +9,105 @@ import numpy as np
 from jaxtyping import Float
 
 from eihrl_jax import base, robots
-from eihrl_jax.evaluation import curves, page
+from eihrl_jax.evaluation import curves, page, results
 
 MAZES = ("random", "u", "s", "spiral")
-METHODS = {"droq": "flat DroQ", "higl": "HIGL", "hrac": "HRAC", "hiro": "HIRO", "hess": "HESS"}
-"""How the pictures call the methods of `train_baseline`."""
+LINES = {
+    "ours, walking": ("ours", "walking"),
+    "ours, oracle": ("ours", "eval"),
+    "flat DroQ": ("droq", "eval"),
+    "HIGL": ("higl", "eval"),
+    "HRAC": ("hrac", "eval"),
+    "HIRO": ("hiro", "eval"),
+    "HESS": ("hess", "eval"),
+}
+"""What the pictures show: method of `compare_peers`, and which of its evaluations."""
 
-OURS = "ours, oracle"
+RAND_H = "RAND-H"
+LONG = "ours, oracle, long"
 
 Curve = Float[np.ndarray, "N 2"]
 
 
 def section(
-    ours: Callable[[str], list[pathlib.Path]], peers: pathlib.Path | None, out: pathlib.Path
+    long: Callable[[str], list[pathlib.Path]], peers: pathlib.Path | None, out: pathlib.Path
 ) -> page.Section:
     """Draws success, or with dense reward its mean per step, against episodes and control steps.
 
     Args:
-      ours: finds the metrics of our high levels trained alike, e.g. "best-u" or "best-u-dense".
-      peers: folder of runs of `train_baseline`, `<method>-<maze>[-dense]-<seed>` each; None: no
-        picture.
+      long: finds the metrics of our high levels trained alike, e.g. "best-u" or "best-u-dense".
+      peers: folder of `compare_peers`, `<method>-<maze>[-dense]-<seed>` each; None: no picture.
       out: folder of the pictures.
 
     Raises:
       base.UserError: `peers` holds no such run.
     """
     pictures = []
-    for maze, reward in itertools.product(MAZES, ("sparse", "dense")):
-        task = maze if reward == "sparse" else f"{maze}-dense"
-        y, label, scale = ("success", "success, %", 100.0)
-        if reward == "dense":
-            y, label, scale = ("reward", "reward per step", 1.0)
-        runs = {} if peers is None else _runs(peers, task)
-        if not runs:
-            continue
-        runs |= {OURS: high} if (high := ours(f"best-{task}")) else {}
-        for axis, read in _AXES.items():
-            drawn = {name: [read(file, f"eval/{y}") for file in runs[name]] for name in runs}
-            path = out / f"peers-{task}-{axis.replace(' ', '-')}.png"
-            out.mkdir(parents=True, exist_ok=True)
-            curves.save_spread(
-                path, drawn, x_label=axis, y_label=label, y_scale=scale, has_log_x=True
-            )
-            text = f"{maze}, {reward} reward, against {axis}: mean and range over seeds."
-            pictures.append(page.Picture(path, text))
-    if peers is not None and not pictures:
-        raise base.UserError(f"peers = {peers} holds no <method>-<maze>-<seed>")
+    if peers is not None:
+        for maze, reward in itertools.product(MAZES, base.REWARDS):
+            pictures += _pictures(long, peers, maze, reward, out)
+        if not pictures:
+            raise base.UserError(f"peers = {peers} holds no <method>-<maze>-<seed>")
     return page.Section(
-        title="Learning beside the peers (Figures 5 and 6)",
-        text="Peers walk while they learn, and are evaluated without exploration. Ours is moved by "
-        "the oracle: a decision counts as the ant's 25 control steps, and the low level that walks "
-        "afterwards was trained before.",
+        title="Learning at equal budgets (Figures 5 and 6)",
+        text="All are evaluated without exploration. The baselines walk while they learn. Our high "
+        "level learns moved by the oracle: a decision counts as the ant's 25 control steps, and "
+        "the low level with which it then walks was trained before, which isn't counted. "
+        f"{LONG}: the high levels of the other parts, with more workers and a greater budget.",
         pictures=pictures,
     )
 
 
-def _runs(folder: pathlib.Path, task: str) -> dict[str, list[pathlib.Path]]:
-    """Finds the metrics of each method in a task."""
-    found = {
-        label: sorted(folder.glob(f"{method}-{task}-[0-9]*/metrics.csv"))
-        for method, label in METHODS.items()
-    }
-    return {label: files for label, files in found.items() if files}
+def _pictures(
+    long: Callable[[str], list[pathlib.Path]],
+    peers: pathlib.Path,
+    maze: str,
+    reward: base.Reward,
+    out: pathlib.Path,
+) -> list[page.Picture]:
+    """Draws a task against both axes; nothing where no method has learned it."""
+    task = maze if reward == "sparse" else f"{maze}-dense"
+    y, label, scale = ("success", "success, %", 100.0)
+    if reward == "dense":
+        y, label, scale = ("reward", "reward per step", 1.0)
+    pictures = []
+    for axis, read in _AXES.items():
+        drawn = _lines(peers, task, y, read)
+        if not drawn:
+            break
+        drawn |= _flat(peers, task, y, drawn)
+        if files := long(f"best-{task}"):
+            drawn[LONG] = [read(file, f"eval/{y}") for file in files]
+        path = out / f"peers-{task}-{axis.replace(' ', '-')}.png"
+        out.mkdir(parents=True, exist_ok=True)
+        curves.save_spread(path, drawn, x_label=axis, y_label=label, y_scale=scale, has_log_x=True)
+        text = f"{maze}, {reward} reward, against {axis}: mean and range over seeds."
+        pictures.append(page.Picture(path, text))
+    return pictures
+
+
+def _lines(
+    folder: pathlib.Path, task: str, y: str, read: Callable[[pathlib.Path, str], Curve]
+) -> dict[str, list[Curve]]:
+    """Reads the curves of each method in a task, one per seed."""
+    found = {}
+    for label, (method, name) in LINES.items():
+        if files := sorted(folder.glob(f"{method}-{task}-[0-9]*/metrics.csv")):
+            found[label] = [read(file, f"{name}/{y}") for file in files]
+    return found
+
+
+def _flat(
+    folder: pathlib.Path, task: str, y: str, others: dict[str, list[Curve]]
+) -> dict[str, list[Curve]]:
+    """Returns RAND-H, which learns nothing, as lines along all other curves."""
+    x = np.concatenate([curve[:, 0] for curves in others.values() for curve in curves])
+    lines = []
+    for file in sorted(folder.glob(f"rand_h-{task}-[0-9]*/eval.json")):
+        cell = results.load(file).cells[0]
+        value = cell.success.rate if y == "success" else cell.return_mean / cell.decisions_mean
+        lines.append(np.array([[x.min(), value], [x.max(), value]]))
+    return {RAND_H: lines} if lines else {}
 
 
 def _by_steps(file: pathlib.Path, y: str) -> Curve:
@@ -84,12 +121,12 @@ def _by_episodes(file: pathlib.Path, y: str) -> Curve:
     """Reads a curve against the episodes that had ended."""
     with file.open(newline="") as text:
         rows = list(csv.DictReader(text))
-    if _has(file, "num_decisions"):
-        # Ours: what was decided since the last row, over the mean length of what ended.
+    if _has(file, "episodes"):
+        ended = np.array([float(row["episodes"]) for row in rows])
+    else:
+        # Shipped metrics: what was decided since the last row, over the mean length of what ended.
         decided = np.diff([float(row["num_decisions"]) for row in rows], prepend=0.0)
         ended = decided / [float(row["decisions"]) for row in rows]
-    else:
-        ended = np.array([float(row["episodes"]) for row in rows])
     points = zip(np.cumsum(ended), (row[y] for row in rows), strict=True)
     return np.array([(x, float(value)) for x, value in points if value])
 

@@ -4,7 +4,7 @@ import dataclasses
 import json
 import shutil
 from collections.abc import Callable
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from eihrl_jax import base, policies
 from eihrl_jax import config as config_lib
@@ -18,7 +18,7 @@ Run = low_config.LowConfig | high_config.HighConfig | baselines_config.BaselineC
 RunT = TypeVar("RunT", bound=Run)
 
 
-def name(what: str, maze: str, reward: Literal["sparse", "dense"], seed: int) -> str:
+def name(what: str, maze: str, reward: base.Reward, seed: int) -> str:
     """Names a run folder: `<what>-<maze>[-dense]-<seed>`, as the report finds it."""
     return "-".join([what, maze, *(["dense"] if reward == "dense" else []), str(seed)])
 

@@ -1,29 +1,44 @@
-"""Trains baselines at equal budgets: `python -m experiments.compare_peers --out runs/peers`."""
+"""Trains ours and the baselines at equal budgets: `python -m experiments.compare_peers`."""
 
 import dataclasses
+import functools
 import itertools
 import pathlib
-from typing import Literal
 
-from eihrl_jax import base, mazes, presets
+from eihrl_jax import base, mazes, presets, robots
+from eihrl_jax.agents import hierarchy
 from eihrl_jax.config import baselines as baselines_config
 from eihrl_jax.config import checks
+from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import hess as hess_config
+from eihrl_jax.config import high as high_config
 from eihrl_jax.config import higl as higl_config
-from eihrl_jax.training import baselines
+from eihrl_jax.evaluation import systems
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.training import baselines, high
 from experiments import _cli, _runs
+
+METHODS = ("ours", "rand_h", *presets.BASELINES)
+"""Our high level; uniform directions in its place, both with the shipped low level; baselines."""
+
+_WORKERS = 4
+_LOG_EVERY = 5
+_EVALUATE_EVERY = 10
+_EPISODES = 50
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class CompareConfig:
-    """Trains each baseline in each maze for the same number of control steps (Figures 5 and 6).
+    """Trains each method in each maze for the same number of control steps (Figures 5 and 6).
 
     Runs that the folder already holds are continued or taken as they are;
-    `python -m experiments.report --peers FOLDER` draws them beside ours. Settings are the methods'
-    own, but schedules that are longer than such a budget are shortened, see docs/baselines.md.
+    `python -m experiments.report --peers FOLDER` draws them. Settings are the methods' own, but
+    schedules that are longer than such a budget are shortened, see docs/baselines.md. Ours learns
+    moved by the oracle, a decision counting as the control steps that it takes to walk it, and is
+    evaluated both so and walking; RAND-H learns nothing.
 
     Attributes:
-      methods: of `train_baseline`.
+      methods: ours, rand_h, and those of `train_baseline`.
       mazes: names of mazes.
       rewards: of the tasks.
       seeds: of the runs of each method in each task.
@@ -31,9 +46,9 @@ class CompareConfig:
       out: folder of the runs, named `<method>-<maze>[-dense]-<seed>`.
     """
 
-    methods: tuple[str, ...] = ("droq", "higl", "hess")
+    methods: tuple[str, ...] = ("ours", "rand_h", "droq", "higl", "hess")
     mazes: tuple[str, ...] = ("random", "u", "s", "spiral")
-    rewards: tuple[Literal["sparse", "dense"], ...] = ("sparse", "dense")
+    rewards: tuple[base.Reward, ...] = base.REWARDS
     seeds: tuple[int, ...] = (0, 1, 2)
     num_steps: int = 100_000
     out: pathlib.Path = pathlib.Path("runs/peers")
@@ -41,11 +56,11 @@ class CompareConfig:
     def __post_init__(self) -> None:
         """Checks names and ranges."""
         for name in self.methods:
-            checks.one_of("methods", name, tuple(presets.BASELINES))
+            checks.one_of("methods", name, METHODS)
         for name in self.mazes:
             checks.one_of("mazes", name, mazes.NAMES)
         for reward in self.rewards:
-            checks.one_of("rewards", reward, ("sparse", "dense"))
+            checks.one_of("rewards", reward, base.REWARDS)
         for seed in self.seeds:
             checks.in_range("seeds", seed, 0, 2**32 - 1)
         checks.in_range("num_steps", self.num_steps, 1, 10_000_000)
@@ -53,26 +68,91 @@ class CompareConfig:
             raise base.UserError("methods, mazes, rewards and seeds must name at least one each")
 
 
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """One run of the comparison: a method in a task with a seed."""
+
+    method: str
+    maze: str
+    reward: base.Reward
+    seed: int
+
+    def folder(self, config: CompareConfig) -> pathlib.Path:
+        """Returns where it is found."""
+        return config.out / _runs.name(self.method, self.maze, self.reward, self.seed)
+
+
 def main(config: CompareConfig) -> None:
     """Trains what is missing, seed by seed, so that all methods advance together."""
     runs = itertools.product(config.seeds, config.rewards, config.mazes, config.methods)
     for seed, reward, maze, method in runs:
-        _runs.finish(options_of(config, method, maze, reward, seed), baselines.train)
+        run = Run(method, maze, reward, seed)
+        if method == "ours":
+            ours = high_options(config, run)
+            _runs.finish(ours, functools.partial(high.train, walking=_walking(ours)))
+        elif method == "rand_h":
+            _runs.evaluated(random_options(config, run))
+        else:
+            _runs.finish(baseline_options(config, run), baselines.train)
 
 
-def options_of(
-    config: CompareConfig, method: str, maze: str, reward: Literal["sparse", "dense"], seed: int
-) -> baselines_config.BaselineConfig:
-    """Returns the options of one run."""
+def high_options(config: CompareConfig, run: Run) -> high_config.HighConfig:
+    """Returns the options of a run of ours: few workers, so that there are updates enough."""
+    preset = presets.HIGH["best"]
+    learner = dataclasses.replace(preset.learner, num_workers=_WORKERS)
+    assert learner.window is not None
+    per_update = _WORKERS * learner.window * robots.load(preset.task.robot).steps_per_subgoal
+    rows = max(1, config.num_steps // (per_update * _LOG_EVERY))
     return dataclasses.replace(
-        _shortened(presets.BASELINES[method]),
-        maze=maze,
-        reward=reward,
-        seed=seed,
-        num_steps=config.num_steps,
-        run=config.out / _runs.name(method, maze, reward, seed),
+        preset,
+        task=dataclasses.replace(preset.task, maze=run.maze, reward=run.reward),
+        learner=dataclasses.replace(learner, num_updates=rows * _LOG_EVERY),
+        log_every=_LOG_EVERY,
+        evaluate_every=_EVALUATE_EVERY,
+        checkpoint_every=_EVALUATE_EVERY,
+        num_eval_episodes=_EPISODES,
+        num_devices=1,
+        seed=run.seed,
+        run=run.folder(config),
         resume=True,
     )
+
+
+def random_options(config: CompareConfig, run: Run) -> evaluate_config.EvaluateConfig:
+    """Returns the options of RAND-H's evaluation."""
+    return evaluate_config.EvaluateConfig(
+        mazes=(run.maze,),
+        movement=("full",),
+        high=(evaluate_config.RANDOM,),
+        reward=run.reward,
+        episodes=_EPISODES,
+        seeds=(run.seed,),
+        animate="none",
+        heatmaps=False,
+        out=run.folder(config),
+    )
+
+
+def baseline_options(config: CompareConfig, run: Run) -> baselines_config.BaselineConfig:
+    """Returns the options of a run of `train_baseline`."""
+    return dataclasses.replace(
+        _shortened(presets.BASELINES[run.method]),
+        maze=run.maze,
+        reward=run.reward,
+        seed=run.seed,
+        num_steps=config.num_steps,
+        run=run.folder(config),
+        resume=True,
+    )
+
+
+def _walking(options: high_config.HighConfig) -> hierarchy.Hierarchy:
+    """Returns the same task with a robot that walks, driven by its shipped low level."""
+    task, robot = options.task, robots.load(options.task.robot)
+    moved = high.make_env(task, options.seed)
+    low_policy = systems.load_low(task.robot, robot)
+    engine = engine_lib.make(robot, "mujoco")
+    return systems.full(engine, moved.course.mazes, moved.view, low_policy, reward=task.reward)
 
 
 def _shortened(preset: baselines_config.BaselineConfig) -> baselines_config.BaselineConfig:

@@ -4,7 +4,7 @@ import dataclasses
 import pathlib
 from typing import Literal
 
-from eihrl_jax import mazes, presets, robots
+from eihrl_jax import base, mazes, presets, robots
 from eihrl_jax.baselines import system
 from eihrl_jax.config import checks
 from eihrl_jax.config import higl as higl_config
@@ -34,7 +34,7 @@ class ReproduceConfig:
     """
 
     method: Literal["higl", "hrac", "hiro"] = "higl"
-    reward: Literal["sparse", "dense"] = "sparse"
+    reward: base.Reward = "sparse"
     seed: int = 0
     num_steps: int = 1_000_000
     updates_per_step: float = 1.0

@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 import pathlib
 import shutil
-from typing import Literal
 
 from eihrl_jax import base, mazes, policies, presets
 from eihrl_jax.config import checks
@@ -35,7 +34,7 @@ class PoliciesConfig:
 
     presets: tuple[str, ...] = tuple(presets.HIGH)
     mazes: tuple[str, ...] = MAZES
-    rewards: tuple[Literal["sparse", "dense"], ...] = ("sparse",)
+    rewards: tuple[base.Reward, ...] = ("sparse",)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     out: pathlib.Path = pathlib.Path("runs/policies")
     ship: bool = False

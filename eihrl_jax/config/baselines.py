@@ -4,6 +4,7 @@ import dataclasses
 import pathlib
 from typing import Literal
 
+from eihrl_jax import base
 from eihrl_jax.config import checks
 from eihrl_jax.config import low as low_config
 
@@ -36,7 +37,7 @@ class BaselineConfig:
     run: pathlib.Path = pathlib.Path("runs/baseline")
     resume: bool = False
     maze: str = "random"
-    reward: Literal["sparse", "dense"] = "sparse"
+    reward: base.Reward = "sparse"
     num_decisions: int | None = None
     robot: str = "ant"
     engine: Literal["mujoco", "mjx"] = "mujoco"
@@ -84,7 +85,7 @@ class FlatConfig(BaselineConfig):
 def check_arena(config: BaselineConfig) -> None:
     """Checks the ranges of what all baselines share."""
     checks.in_range("seed", config.seed, 0, 2**32 - 1)
-    checks.one_of("reward", config.reward, ("sparse", "dense"))
+    checks.one_of("reward", config.reward, base.REWARDS)
     checks.one_of("engine", config.engine, ("mujoco", "mjx"))
     if config.num_decisions is not None:
         checks.in_range("num_decisions", config.num_decisions, 1, 10_000)

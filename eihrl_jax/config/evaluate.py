@@ -25,6 +25,8 @@ class EvaluateConfig:
       high: run folders, policy folders or names of shipped policies; random: uniform directions.
         A baseline's run folder stands for the whole baseline, which only walks.
       low: low level of each robot for full movement, like `high`; none: the robots' shipped ones.
+      reward: of the task, in which returns are counted; with dense reward episodes last until their
+        time limit (paper, D).
       episodes: per maze and seed.
       seeds: of the evaluation's random numbers; each runs all episodes anew.
       out: folder of the results; must be new or empty.
@@ -44,6 +46,7 @@ class EvaluateConfig:
     movement: tuple[Literal["oracle", "full"], ...] = ("oracle", "full")
     high: tuple[str, ...] = ("best-random-0",)
     low: tuple[str, ...] = ()
+    reward: base.Reward = "sparse"
     episodes: int = 500
     seeds: tuple[int, ...] = (0,)
     out: pathlib.Path = pathlib.Path("runs/evaluation")
@@ -65,6 +68,7 @@ class EvaluateConfig:
             repeated = [value for i, value in enumerate(values) if value in values[:i]]
             if repeated:
                 raise base.UserError(f"{name} names {repeated[0]!r} more than once")
+        checks.one_of("reward", self.reward, base.REWARDS)
         checks.measured_alone(self.measured, self.step, self.sigma)
         checks.in_range("episodes", self.episodes, 1, 1_000_000)
         for seed in self.seeds:

@@ -40,7 +40,7 @@ class Task:
     maze: str = "random"
     num_decisions: int | None = None
     robot: str = "ant"
-    reward: Literal["sparse", "dense"] = "sparse"
+    reward: base.Reward = "sparse"
     extent: float = 9.0
     pixels: int = 15
     step: float = 3.0
@@ -55,7 +55,7 @@ class Task:
 
     def __post_init__(self) -> None:
         """Checks what can be checked without loading anything."""
-        checks.one_of("reward", self.reward, ("sparse", "dense"))
+        checks.one_of("reward", self.reward, base.REWARDS)
         checks.in_range("extent", self.extent, above=0.0, high=100.0)
         checks.in_range("pixels", self.pixels, 1, 256)
         checks.in_range("step", self.step, above=0.0, high=30.0)

@@ -13,8 +13,6 @@ fall ends nothing.
 Reset: as in `maze`.
 """
 
-from typing import Literal
-
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -56,7 +54,7 @@ class GoalMaze:
         engine: engine_lib.Engine,
         mazes: maze_lib.Maze,
         *,
-        reward: Literal["sparse", "dense"] = "sparse",
+        reward: base.Reward = "sparse",
     ):
         """Prepares the mazes.
 

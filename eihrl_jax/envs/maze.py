@@ -5,8 +5,9 @@ level, which `agents.hierarchy` puts in.
 
 Observation: bool [P, P, 3], a top view centred on the torso, north up, see `raster`; the silhouette
 is that of the robot's real posture. Or a map of what has been seen.
-Reward and end of an episode: those of `task`, along the torso's real path. A fall costs nothing and
-ends nothing (there is no reset); a simulation that breaks down terminates the episode.
+Reward and end of an episode: those of `task`, along the torso's real path; dense reward is paid for
+where a decision ends. A fall costs nothing and ends nothing (there is no reset); a simulation that
+breaks down terminates the episode.
 Reset: maze, door and start are drawn anew; the robot stands there, turned at random, its joints a
 little off.
 """
@@ -82,17 +83,26 @@ class PhysicsMaze:
     1 for `fell` and `broke_down`.
     """
 
-    def __init__(self, engine: engine_lib.Engine, mazes: maze_lib.Maze, *, view: raster.View):
+    def __init__(
+        self,
+        engine: engine_lib.Engine,
+        mazes: maze_lib.Maze,
+        *,
+        view: raster.View,
+        reward: base.Reward = "sparse",
+    ):
         """Prepares mazes and silhouettes.
 
         Args:
           engine: moves the robot.
           mazes: one maze, or several with a leading axis of which each episode draws one.
           view: extent and resolution of the observation.
+          reward: "sparse" or "dense".
         """
         self.robot = engine.robot
         self.course = task.prepare(mazes, view.margin)
         self.view = view
+        self._reward = reward
         self._engine = engine
         self._capsules = kinematics.capsules(engine.model)
 
@@ -164,6 +174,8 @@ class PhysicsMaze:
         """
         walk: Walk = state.inner
         nav, outcome = task.advance(self.course, walk.nav, path_xy)
+        if self._reward == "dense":
+            outcome = task.dense(self.course, nav, path_xy[-1], outcome)
         outcome = outcome.replace(
             terminated=outcome.terminated | body.is_broken,
             truncated=outcome.truncated & ~body.is_broken,

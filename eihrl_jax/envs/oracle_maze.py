@@ -27,8 +27,6 @@ from eihrl_jax.config import checks
 from eihrl_jax.envs import task
 from eihrl_jax.mazes import maze as maze_lib
 
-REWARDS = ("sparse", "dense")
-
 _ABOVE_MINUS_ONE = -1.0 + 2.0**-24
 
 
@@ -92,7 +90,7 @@ class OracleMaze:
         *,
         view: raster.View,
         movement: Movement,
-        reward: str = "sparse",
+        reward: base.Reward = "sparse",
     ):
         """Prepares mazes and silhouettes.
 
@@ -107,7 +105,7 @@ class OracleMaze:
           base.UserError: an unknown reward, silhouettes of another resolution, or a body that
             could begin an episode inside a wall.
         """
-        checks.one_of("reward", reward, REWARDS)
+        checks.one_of("reward", reward, base.REWARDS)
         if silhouettes.ndim != 3 or silhouettes.shape[1:] != (view.pixels, view.pixels):
             raise base.UserError(
                 f"silhouettes of shape {silhouettes.shape} do not fit a view of "

@@ -11,8 +11,6 @@ that holds the maze's inside, walls included, or is the far end of the U.
 Source: Kim et al. 2021, Appendix; Nachum et al. 2018.
 """
 
-from typing import Literal
-
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -65,7 +63,7 @@ class UMaze:
         engine: engine_lib.Engine,
         maze: maze_lib.Maze,
         *,
-        reward: Literal["sparse", "dense"] = "sparse",
+        reward: base.Reward = "sparse",
         is_evaluation: bool = False,
     ):
         """Takes what moves the ant.

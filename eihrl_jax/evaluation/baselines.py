@@ -89,13 +89,16 @@ def is_baseline(name: str) -> bool:
     return policies.kind_of(name) == "baseline"
 
 
-def load(name: str, engine: engine_lib.Engine, stacked: mazes.Maze) -> BaselineMaze:
+def load(
+    name: str, engine: engine_lib.Engine, stacked: mazes.Maze, *, reward: base.Reward = "sparse"
+) -> BaselineMaze:
     """Loads a baseline into some mazes.
 
     Args:
       name: run folder or policy folder.
       engine: moves the robot, which must be the one that it was trained with.
       stacked: mazes with a leading axis.
+      reward: "sparse" or "dense".
 
     Raises:
       base.UserError: there is none, it is damaged, or another robot's.
@@ -107,7 +110,7 @@ def load(name: str, engine: engine_lib.Engine, stacked: mazes.Maze) -> BaselineM
         raise base.UserError(f"{path}: unknown method {method!r}")
     text = json.dumps(checked.entry(meta, "config", path), default=str)
     options = config.from_json(type(presets.BASELINES[method]), text, source=str(path))
-    env = goal_maze.GoalMaze(engine, stacked)
+    env = goal_maze.GoalMaze(engine, stacked, reward=reward)
     width, height = checked.entry(meta, "side_xy", path)
     steps = int(env.course.mazes.num_decisions.max())
     system = system_lib.make(env, engine.model.nu, (width, height), steps, options)

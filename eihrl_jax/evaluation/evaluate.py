@@ -123,7 +123,8 @@ def _prepare_peer(
 ) -> _Prepared:
     """Loads a baseline, which is both levels at once."""
     system = results.System(robot=robot.name, movement="full", high=name, low=None)
-    env = baselines.load(name, engine_lib.make(robot, options.engine), stacked)
+    engine = engine_lib.make(robot, options.engine)
+    env = baselines.load(name, engine, stacked, reward=options.reward)
     return _Prepared(system, robot, env, lambda obs, key: jnp.int32(0))
 
 
@@ -135,12 +136,15 @@ def _envs(
     views: Iterable[raster.View],
 ) -> list[rollouts.Traced]:
     """Builds one robot's environment for each view: walking with `low`, or moved by the oracle."""
+    reward = options.reward
     if low is None:
         walking = subgoals.walking(robot, options.measured, options.step, options.sigma)
-        return [systems.oracle(robot, stacked, view, walking=walking) for view in views]
+        return [
+            systems.oracle(robot, stacked, view, walking=walking, reward=reward) for view in views
+        ]
     low_policy = systems.load_low(low, robot)
     engine = engine_lib.make(robot, options.engine)
-    return [systems.full(engine, stacked, view, low_policy) for view in views]
+    return [systems.full(engine, stacked, view, low_policy, reward=reward) for view in views]
 
 
 def _summarise(

@@ -135,6 +135,7 @@ def oracle(
     view: raster.View,
     *,
     walking: subgoals.Walking,
+    reward: base.Reward = "sparse",
 ) -> TracedOracle:
     """Returns oracle movement in several mazes.
 
@@ -143,6 +144,7 @@ def oracle(
       stacked: mazes with a leading axis.
       view: what the high level sees.
       walking: what the oracle imitates.
+      reward: "sparse" or "dense".
 
     Raises:
       base.UserError: a number is out of its limits.
@@ -151,7 +153,11 @@ def oracle(
         step=walking.step, sigma=walking.sigma, body_radius=robot.body_radius
     )
     env = oracle_maze.OracleMaze(
-        stacked, postures.footprints(robot, walking.bank, view), view=view, movement=movement
+        stacked,
+        postures.footprints(robot, walking.bank, view),
+        view=view,
+        movement=movement,
+        reward=reward,
     )
     return TracedOracle(env, walking.bank.qpos)
 
@@ -161,9 +167,12 @@ def full(
     stacked: mazes.Maze,
     view: raster.View,
     low_policy: hierarchy.LowPolicy,
+    *,
+    reward: base.Reward = "sparse",
 ) -> hierarchy.Hierarchy:
     """Returns a walking robot in several mazes, driven by its low level."""
-    return hierarchy.Hierarchy(maze.PhysicsMaze(engine, stacked, view=view), low_policy)
+    env = maze.PhysicsMaze(engine, stacked, view=view, reward=reward)
+    return hierarchy.Hierarchy(env, low_policy)
 
 
 def _random_direction(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:

@@ -25,7 +25,7 @@ EVALUATION_STREAM = 1
 """Folded into the seed's key for evaluation, whose draws must not be those of training."""
 
 
-def train(config: high_config.HighConfig) -> float:
+def train(config: high_config.HighConfig, walking: base.Environment | None = None) -> float:
     """Trains a high level in a run folder, or goes on with a run that was stopped.
 
     The run folder ends up with the policy. In a run of several processes all must call this; the
@@ -33,6 +33,8 @@ def train(config: high_config.HighConfig) -> float:
 
     Args:
       config: the run's options.
+      walking: where evaluations are made a second time, as `walking/` beside `eval/`: the same task
+        with a robot that walks.
 
     Returns:
       Seconds of training past compilation, evaluations and checkpoints included.
@@ -63,12 +65,15 @@ def train(config: high_config.HighConfig) -> float:
                 update = parallel.repeated_update(agent, config.log_every, mesh)
                 advance = update.lower(state).compile()
             with progress.compiling("evaluation"):
-                evaluate = _compile_evaluation(env, config, state)
+                envs = {"eval": env} | ({} if walking is None else {"walking": walking})
+                limit = int(env.course.mazes.num_decisions.max())
+                evaluate = _compile_evaluations(envs, limit, config, state)
             while done < num_updates:
                 state, metrics = advance(state)
                 done += config.log_every
                 is_last = done == num_updates
                 row = {"num_decisions": int(state.num_decisions)} | summarise(metrics)
+                row["episodes"] = float(metrics["episodes"].sum())  # that ended since the last row
                 if done % config.evaluate_every == 0 or is_last:
                     row |= evaluate(state)
                 run.log(done, row)
@@ -167,12 +172,27 @@ def _title(task: high_config.Task) -> str:
     return f"{task.num_rooms} random rooms" if task.num_rooms else task.maze
 
 
-def _compile_evaluation(
-    env: oracle_maze.OracleMaze, config: high_config.HighConfig, state: peg_a2c.LearnerState
+def _compile_evaluations(
+    envs: Mapping[str, base.Environment],
+    limit: int,
+    config: high_config.HighConfig,
+    state: peg_a2c.LearnerState,
 ) -> Callable[[peg_a2c.LearnerState], dict[str, float]]:
-    """Compiles the evaluation: whole episodes in the training maze, subgoals sampled."""
+    """Compiles an evaluation in each of some environments, which gives its metrics their prefix."""
+    compiled = {name: _compile_evaluation(env, limit, config, state) for name, env in envs.items()}
+
+    def evaluate(state):
+        found = {name: measure(state) for name, measure in compiled.items()}
+        return {f"{name}/{key}": value for name in found for key, value in found[name].items()}
+
+    return evaluate
+
+
+def _compile_evaluation(
+    env: base.Environment, limit: int, config: high_config.HighConfig, state: peg_a2c.LearnerState
+) -> Callable[[peg_a2c.LearnerState], dict[str, float]]:
+    """Compiles whole episodes of up to `limit` decisions, subgoals sampled."""
     whole = dataclasses.replace(config.learner, window=None)
-    limit = int(env.course.mazes.num_decisions.max())
     agent = peg_a2c.PegA2C(env, actor_critic.make(config.network), whole, limit)
     stream = jax.random.fold_in(jax.random.key(config.seed), EVALUATION_STREAM)
 
@@ -186,7 +206,7 @@ def _compile_evaluation(
     def evaluate(state):
         found = summarise(compiled(*_local((state.params, state.num_updates))))
         found["reward"] = found["return"] / found["decisions"]
-        return {f"eval/{name}": value for name, value in found.items()}
+        return found
 
     return evaluate
 

@@ -1,9 +1,10 @@
-"""The peers' learning curves: what they are drawn against."""
+"""Learning at equal budgets: what is drawn, and against what."""
 
 import numpy as np
 import pytest
 
 from eihrl_jax import base
+from eihrl_jax.evaluation import results, statistics
 from experiments import _report_peers
 
 PEER = """step,success,episodes,eval/success,eval/reward
@@ -18,6 +19,26 @@ OURS = """step,num_decisions,decisions,eval/success,eval/reward
 60,3000.0,10.0,0.9,0.3
 """
 
+EQUAL = """step,num_decisions,episodes,decisions,eval/success,walking/success,walking/reward
+5,160.0,4.0,nan,0.5,0.4,0.05
+10,320.0,8.0,20.0,0.9,0.8,0.2
+"""
+RANDOM = results.Cell(
+    maze="u",
+    system=results.System(robot="ant", movement="full", high="random", low="ant"),
+    seeds=(0,),
+    num_episodes=10,
+    num_goals=1,
+    num_decisions=24,
+    success=statistics.Success(rate=0.3, low=0.1, high=0.6, block_std=None),
+    seed_rates=(0.3,),
+    return_mean=6.0,
+    decisions_mean=24.0,
+    decisions_solved=None,
+    num_falls=0,
+    outcomes=results.Outcomes(solved=3, fallen=0, unstable=0, late=7),
+)
+
 
 @pytest.fixture
 def folders(tmp_path):
@@ -26,13 +47,22 @@ def folders(tmp_path):
             run = tmp_path / f"{name}-{seed}"
             run.mkdir(parents=True)
             (run / "metrics.csv").write_text(text)
+    run = tmp_path / "peers" / "ours-u-0"
+    run.mkdir()
+    (run / "metrics.csv").write_text(EQUAL)
+    run = tmp_path / "peers" / "rand_h-u-0"
+    run.mkdir()
+    results.save(run / "eval.json", results.Evaluation(cells=(RANDOM,)))
     return tmp_path
 
 
 def test_episodes_and_steps_are_counted_up_to_each_evaluation(folders):
     peer = folders / "peers" / "higl-u-0" / "metrics.csv"
     ours = folders / "ours" / "best-u-0" / "metrics.csv"
+    equal = folders / "peers" / "ours-u-0" / "metrics.csv"
     for file, axis, expected in (
+        (equal, "episodes", [[4.0, 0.5], [12.0, 0.9]]),
+        (equal, "control steps", [[4e3, 0.5], [8e3, 0.9]]),
         (peer, "episodes", [[2.0, 0.1], [8.0, 0.4]]),
         (peer, "control steps", [[1000.0, 0.1], [2000.0, 0.4]]),
         (ours, "episodes", [[50.0, 0.2], [250.0, 0.9]]),
@@ -45,6 +75,23 @@ def test_episodes_and_steps_are_counted_up_to_each_evaluation(folders):
 def ours(folders):
     """Finds our metrics as `_report_parts.Runs.metrics` does."""
     return lambda trained: sorted((folders / "ours").glob(f"{trained}-[0-9]*/metrics.csv"))
+
+
+@pytest.mark.parametrize(("y", "value"), [("success", 0.3), ("reward", 0.25)])
+def test_rand_h_is_a_level_line_along_all_others(folders, y, value):
+    others = {"ours, walking": [np.array([[4e3, 0.5], [8e3, 0.9]])]}
+    (line,) = _report_peers._flat(folders / "peers", "u", y, others)["RAND-H"]
+    np.testing.assert_allclose(line, [[4e3, value], [8e3, value]])
+    assert not _report_peers._flat(folders / "peers", "s", y, others)
+
+
+def test_ours_has_a_line_walking_and_one_moved_by_the_oracle(folders):
+    read = _report_peers._AXES["control steps"]
+    found = _report_peers._lines(folders / "peers", "u", "success", read)
+    assert list(found) == ["ours, walking", "ours, oracle", "HIGL"]
+    assert found["ours, walking"][0][:, 1].tolist() == [0.4, 0.8]
+    assert found["ours, oracle"][0][:, 1].tolist() == [0.5, 0.9]
+    assert len(found["HIGL"]) == 2
 
 
 def test_every_task_that_a_peer_learned_has_its_pictures(folders):
