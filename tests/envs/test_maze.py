@@ -65,6 +65,24 @@ def test_goals_pay_once_and_the_last_one_ends_the_episode(env):
     assert not bool(found[-1].truncated)
 
 
+def test_dense_reward_tells_where_a_decision_ends_until_the_time_is_up(maze):
+    env = maze_env.PhysicsMaze(Sled(), maze, view=raster.View(), reward="dense")
+    first, *found = steps(env, drive, [EAST, EAST, SOUTH, SOUTH, WEST, WEST])
+    start, *ends = (np.asarray(state.inner.body.physics.qpos[:2]) for state in (first, *found))
+    goals_xy = {1: np.array([10.5, -4.5]), 2: np.array([4.5, -10.5])}
+    np.testing.assert_array_less(base.CELL, np.linalg.norm(goals_xy[1] - start))
+    # The first goal until it is reached in the second decision, then the other one.
+    expected = [
+        1.0 / (1.0 + np.linalg.norm(goals_xy[1 if i < 1 else 2] - xy)) for i, xy in enumerate(ends)
+    ]
+    expected[-1] = 1.0  # for having arrived
+    np.testing.assert_allclose([float(state.reward) for state in found], expected, rtol=1e-5)
+    assert float(found[-1].metrics["return"]) == pytest.approx(sum(expected), rel=1e-5)
+    assert float(found[-1].metrics["success"]) == 1.0
+    assert not any(bool(state.terminated) for state in found)
+    assert [bool(state.truncated) for state in found] == [False] * 5 + [True]
+
+
 def test_goal_is_seen_on_the_way(env):
     def there_and_back(obs, key):
         return drive(obs, key) * jnp.where(obs.time_left > 0.5, 1.0, -1.0)

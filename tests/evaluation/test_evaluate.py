@@ -186,6 +186,7 @@ def test_only_running_episodes_leave_traces():
         ({"seeds": (1, 1)}, "seeds names 1 more than once"),
         ({"mazes": ()}, "mazes is empty"),
         ({"num_decisions": 0}, "num_decisions = 0"),
+        ({"reward": "fat"}, "reward = 'fat' must be one of sparse, dense"),
         ({"low": ("a", "b")}, "low names 2 policies for 1 robots"),
     ],
 )
