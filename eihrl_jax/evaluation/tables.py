@@ -85,8 +85,15 @@ def _by_system(cells: Sequence[results.Cell]) -> list[Table]:
 
 def _title(system: results.System) -> str:
     """Describes a system."""
+    if _is_baseline(system):
+        return f"{system.robot}, walking, {system.high}"
     moves = "oracle movement" if system.low is None else f"walking with low level {system.low}"
     return f"{system.robot}, {moves}, high level {system.high}"
+
+
+def _is_baseline(system: results.System) -> bool:
+    """Tells whether a system is both levels in one, which walks without another low level."""
+    return system.movement == "full" and system.low is None
 
 
 def _table1(cells: Sequence[results.Cell]) -> list[Table]:
@@ -102,7 +109,7 @@ def _table1(cells: Sequence[results.Cell]) -> list[Table]:
             rows.append([label, *(percent(by_maze[m]) if m in by_maze else "-" for m in mazes)])
             bounds = {m: interval(success) for m, success in by_maze.items()}
             rows.append(["  95 % interval", *(bounds.get(m, "-") for m in mazes)])
-            if system.robot == "ant" and high != RANDOM:
+            if system.robot == "ant" and high != RANDOM and not _is_baseline(system):
                 figures = paper.TABLE1[system.movement]
                 published = [paper.percent(figures[m]) for m in mazes]
                 rows.append([f"  paper, {paper.NAMES[system.movement]}", *published])

@@ -85,6 +85,14 @@ def test_random_high_level_has_no_figure_in_the_paper():
     assert "45.6" not in text
 
 
+def test_a_baseline_walks_without_a_low_level_and_has_no_figure_of_ours():
+    text = tables.markdown([cell("g1", dataclasses.replace(ANT, high="runs/higl", low=None))])
+    assert text.count("ant, walking, runs/higl") == 1
+    assert "oracle" not in text
+    assert "| ant, walking | 60.0 |" in text
+    assert "45.6" not in text
+
+
 def test_runs_trained_alike_are_summarised_together():
     cells = [
         cell("g2", dataclasses.replace(ANT, high=f"runs/{i}"), achieved)
