@@ -17,14 +17,17 @@ LINES = {
     "ours, oracle": ("ours", "eval"),
     "flat DroQ": ("droq", "eval"),
     "HIGL": ("higl", "eval"),
+    "HESS": ("hess", "eval"),
     "HRAC": ("hrac", "eval"),
     "HIRO": ("hiro", "eval"),
-    "HESS": ("hess", "eval"),
 }
 """What the pictures show: method of `compare_peers`, and which of its evaluations."""
 
 RAND_H = "RAND-H"
 LONG = "ours, oracle, long"
+
+_STYLES = ("ours, walking", "ours, oracle", "flat DroQ", "HIGL", "HESS", RAND_H, LONG)
+"""Order in which lines are given to labels: those of one colour belong together."""
 
 Curve = Float[np.ndarray, "N 2"]
 
@@ -80,7 +83,15 @@ def _pictures(
             drawn[LONG] = [read(file, f"eval/{y}") for file in files]
         path = out / f"peers-{task}-{axis.replace(' ', '-')}.png"
         out.mkdir(parents=True, exist_ok=True)
-        curves.save_spread(path, drawn, x_label=axis, y_label=label, y_scale=scale, has_log_x=True)
+        curves.save_spread(
+            path,
+            drawn,
+            x_label=axis,
+            y_label=label,
+            y_scale=scale,
+            has_log_x=True,
+            labels=_STYLES,
+        )
         text = f"{maze}, {reward} reward, against {axis}: mean and range over seeds."
         pictures.append(page.Picture(path, text))
     return pictures

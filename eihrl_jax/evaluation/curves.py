@@ -94,6 +94,7 @@ def save_spread(
     y_label: str,
     y_scale: float = 1.0,
     has_log_x: bool = False,
+    labels: Sequence[str] = (),
 ) -> None:
     """Draws the mean of each group of curves and its range over the group, as PNG.
 
@@ -104,13 +105,16 @@ def save_spread(
       y_label: what the vertical axis is, with its unit.
       y_scale: factor on the values, e.g. 100 for per cent.
       has_log_x: whether the horizontal axis is logarithmic.
+      labels: of all pictures that are seen together, so that each keeps its line in all of them.
     """
     axes = new_axes(x_label, y_label)
     if has_log_x:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=" "))
-    lines = itertools.product(("-", "--", ":"), palette.CURVE)
-    for (label, curves), (style, colour) in zip(groups.items(), itertools.cycle(lines)):
+    lines = itertools.cycle(itertools.product(("-", "--", ":"), palette.CURVE))
+    line_of = dict(zip(dict.fromkeys([*labels, *groups]), lines, strict=False))
+    for label, curves in groups.items():
+        style, colour = line_of[label]
         length = min(map(len, curves))
         x = curves[0][:length, 0]
         y = y_scale * np.stack([curve[:length, 1] for curve in curves])

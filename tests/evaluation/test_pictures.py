@@ -217,6 +217,23 @@ def test_groups_of_curves_are_drawn_as_far_as_the_shortest_goes(tmp_path):
     assert opened(path).shape[1] > 500
 
 
+def test_a_label_keeps_its_line_in_pictures_that_are_seen_together(tmp_path):
+    rising = np.stack([np.arange(1.0, 9.0), np.arange(8.0)], -1)
+    has = {}
+    for name, groups in {"both": ("one", "other"), "one": ("one",), "other": ("other",)}.items():
+        drawn = {group: [rising] for group in groups}
+        path = tmp_path / f"{name}.png"
+        curves.save_spread(path, drawn, x_label="x", y_label="y", labels=("one", "other"))
+        pixels = {tuple(row) for row in opened(path).reshape(-1, 3).tolist()}
+        wanted = [tuple(bytes.fromhex(colour[1:])) for colour in palette.CURVE[:3]]
+        has[name] = [colour in pixels for colour in wanted]
+    assert has == {
+        "both": [True, True, False],  # the second hides the first but in the legend
+        "one": [True, False, False],
+        "other": [False, True, False],
+    }
+
+
 def test_learning_curve_of_a_run(tmp_path):
     rows = ["step,num_decisions,success,eval/success", "1,100,0.1,", "2,200,nan,0.3", "3,300,0.5,"]
     (tmp_path / "metrics.csv").write_text("\n".join(rows))
