@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eihrl_jax import base, robots
-from eihrl_jax.evaluation import curves, page, results
+from eihrl_jax.evaluation import curves, page, results, tables
 
 MAZES = ("random", "u", "s", "spiral")
 LINES = {
@@ -45,20 +45,43 @@ def section(
     Raises:
       base.UserError: `peers` holds no such run.
     """
-    pictures = []
+    pictures, at_the_end = [], []
     if peers is not None:
         for maze, reward in itertools.product(MAZES, base.REWARDS):
             pictures += _pictures(long, peers, maze, reward, out)
         if not pictures:
             raise base.UserError(f"peers = {peers} holds no <method>-<maze>-<seed>")
+        at_the_end = [_at_the_end(peers, reward) for reward in base.REWARDS]
     return page.Section(
         title="Learning at equal budgets (Figures 5 and 6)",
         text="All are evaluated without exploration. The baselines walk while they learn. Our high "
         "level learns moved by the oracle: a decision counts as the ant's 25 control steps, and "
         "the low level with which it then walks was trained before, which isn't counted. "
         f"{LONG}: the high levels of the other parts, with more workers and a greater budget.",
+        tables=[table for table in at_the_end if table.rows],
         pictures=pictures,
     )
+
+
+def _at_the_end(peers: pathlib.Path, reward: base.Reward) -> tables.Table:
+    """Compares the last evaluations of all methods, their mean and range over seeds."""
+    found: dict[str, dict[str, str]] = {}
+    for maze in MAZES:
+        task = maze if reward == "sparse" else f"{maze}-dense"
+        drawn = _lines(peers, task, "success", _by_steps)
+        if drawn:
+            drawn |= _flat(peers, task, "success", drawn)
+        for label, lines in drawn.items():
+            last = 100.0 * np.array([line[-1, 1] for line in lines])
+            text = f"{last.mean():.0f} ({last.min():.0f} to {last.max():.0f}), {len(last)}"
+            found.setdefault(label, {})[maze] = text
+    rows = [
+        [label, *(found[label].get(maze, "-") for maze in MAZES)]
+        for label in (*LINES, RAND_H)
+        if label in found
+    ]
+    title = f"Success in % when the budget is spent, {reward} reward: mean (range), seeds"
+    return tables.Table(title, ["method", *MAZES], rows)
 
 
 def _pictures(

@@ -103,6 +103,14 @@ def test_every_task_that_a_peer_learned_has_its_pictures(folders):
         "peers-u-dense-control-steps.png",
     ]
     assert all(picture.path.stat().st_size > 10_000 for picture in section.pictures)
+    sparse, dense = section.tables
+    assert sparse.rows == [
+        ["ours, walking", "-", "80 (80 to 80), 1", "-", "-"],
+        ["ours, oracle", "-", "90 (90 to 90), 1", "-", "-"],
+        ["HIGL", "-", "40 (40 to 40), 2", "-", "-"],
+        ["RAND-H", "-", "30 (30 to 30), 1", "-", "-"],
+    ]
+    assert dense.rows == [["flat DroQ", "-", "40 (40 to 40), 2", "-", "-"]]
 
 
 def test_a_folder_without_peers_is_named(folders):
