@@ -28,9 +28,7 @@ _CURVES = {
 MOVEMENTS = {"oracle": "oracle", "full": "walking"}
 ROOM_SIDE = 9
 
-HIGL = "HIGL"
-RAND_H = "RAND-H"
-"""What the paper calls uniform directions."""
+RAND_H = _report_peers.RAND_H
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -93,7 +91,7 @@ def table1(runs: Runs) -> page.Section:
     evaluated[RAND_H] = runs.evaluate("table1-random", ("random",), mazes=TABLE1)
     if "full" in runs.movement:
         highs = runs.highs("higl-random")
-        evaluated[HIGL] = runs.evaluate("table1-higl", highs, mazes=TABLE1, movement=("full",))
+        evaluated["HIGL"] = runs.evaluate("table1-higl", highs, mazes=TABLE1, movement=("full",))
     rows = [
         comparison.Row("paper, oracle", published=paper.TABLE1["oracle"]),
         comparison.Row("paper, walking", published=paper.TABLE1["full"]),

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from eihrl_jax import base, robots
 from eihrl_jax.evaluation import curves, page, results, tables
+from experiments import _runs
 
 MAZES = ("random", "u", "s", "spiral")
 LINES = {
@@ -24,6 +25,8 @@ LINES = {
 """What the pictures show: method of `compare_peers`, and which of its evaluations."""
 
 RAND_H = "RAND-H"
+"""What the paper calls uniform directions."""
+
 LONG = "ours, oracle, long"
 
 _STYLES = ("ours, walking", "ours, oracle", "flat DroQ", "HIGL", "HESS", RAND_H, LONG)
@@ -67,10 +70,7 @@ def _at_the_end(peers: pathlib.Path, reward: base.Reward) -> tables.Table:
     """Compares the last evaluations of all methods, their mean and range over seeds."""
     found: dict[str, dict[str, str]] = {}
     for maze in MAZES:
-        task = maze if reward == "sparse" else f"{maze}-dense"
-        drawn = _lines(peers, task, "success", _by_steps)
-        if drawn:
-            drawn |= _flat(peers, task, "success", drawn)
+        drawn = _at_equal_budgets(peers, _runs.task(maze, reward), "success", _by_steps)
         for label, lines in drawn.items():
             last = 100.0 * np.array([line[-1, 1] for line in lines])
             text = f"{last.mean():.0f} ({last.min():.0f} to {last.max():.0f}), {len(last)}"
@@ -92,16 +92,15 @@ def _pictures(
     out: pathlib.Path,
 ) -> list[page.Picture]:
     """Draws a task against both axes; nothing where no method has learned it."""
-    task = maze if reward == "sparse" else f"{maze}-dense"
+    task = _runs.task(maze, reward)
     y, label, scale = ("success", "success, %", 100.0)
     if reward == "dense":
         y, label, scale = ("reward", "reward per step", 1.0)
     pictures = []
     for axis, read in _AXES.items():
-        drawn = _lines(peers, task, y, read)
+        drawn = _at_equal_budgets(peers, task, y, read)
         if not drawn:
             break
-        drawn |= _flat(peers, task, y, drawn)
         if files := long(f"best-{task}"):
             drawn[LONG] = [read(file, f"eval/{y}") for file in files]
         path = out / f"peers-{task}-{axis.replace(' ', '-')}.png"
@@ -118,6 +117,14 @@ def _pictures(
         text = f"{maze}, {reward} reward, against {axis}: mean and range over seeds."
         pictures.append(page.Picture(path, text))
     return pictures
+
+
+def _at_equal_budgets(
+    folder: pathlib.Path, task: str, y: str, read: Callable[[pathlib.Path, str], Curve]
+) -> dict[str, list[Curve]]:
+    """Reads the curves of each method in a task and of RAND-H; none if no method has learned it."""
+    found = _lines(folder, task, y, read)
+    return found | _flat(folder, task, y, found) if found else {}
 
 
 def _lines(

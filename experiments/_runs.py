@@ -18,9 +18,14 @@ Run = low_config.LowConfig | high_config.HighConfig | baselines_config.BaselineC
 RunT = TypeVar("RunT", bound=Run)
 
 
+def task(maze: str, reward: base.Reward) -> str:
+    """Names a task: `<maze>[-dense]`."""
+    return maze if reward == "sparse" else f"{maze}-{reward}"
+
+
 def name(what: str, maze: str, reward: base.Reward, seed: int) -> str:
     """Names a run folder: `<what>-<maze>[-dense]-<seed>`, as the report finds it."""
-    return "-".join([what, maze, *(["dense"] if reward == "dense" else []), str(seed)])
+    return f"{what}-{task(maze, reward)}-{seed}"
 
 
 def finish(options: RunT, train: Callable[[RunT], object]) -> None:

@@ -1,7 +1,6 @@
 """Trains ours and the baselines at equal budgets: `python -m experiments.compare_peers`."""
 
 import dataclasses
-import functools
 import itertools
 import pathlib
 
@@ -88,8 +87,7 @@ def main(config: CompareConfig) -> None:
     for seed, reward, maze, method in runs:
         run = Run(method, maze, reward, seed)
         if method == "ours":
-            ours = high_options(config, run)
-            _runs.finish(ours, functools.partial(high.train, walking=_walking(ours)))
+            _runs.finish(high_options(config, run), _train_ours)
         elif method == "rand_h":
             _runs.evaluated(random_options(config, run))
         else:
@@ -144,6 +142,11 @@ def baseline_options(config: CompareConfig, run: Run) -> baselines_config.Baseli
         run=run.folder(config),
         resume=True,
     )
+
+
+def _train_ours(options: high_config.HighConfig) -> None:
+    """Trains a run of ours, evaluated walking too."""
+    high.train(options, walking=_walking(options))
 
 
 def _walking(options: high_config.HighConfig) -> hierarchy.Hierarchy:

@@ -29,7 +29,7 @@ NAME = "u5"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SmallConfig:
-    """Trains each method with each seed until it finds its way through a small maze, as a check.
+    """Trains each method with each seed in a small maze, as a check that it finds its way.
 
     Settings are the methods' own but for lengths, noise and schedules that don't fit a maze so
     small; see docs/baselines.md. Runs that the folder already holds are continued or taken as they
