@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 TOOLS := build/tools
-SOURCES := eihrl_jax experiments tests typings
+SOURCES := eihrl_jax experiments notebooks tests typings
 PYTHONS := python3.11 python3
 
 .DEFAULT_GOAL := help

@@ -12,7 +12,6 @@ from eihrl_jax import base, robots
 from eihrl_jax.evaluation import curves, page, results, tables
 from experiments import _runs
 
-MAZES = ("random", "u", "s", "spiral")
 LINES = {
     "ours, walking": ("ours", "walking"),
     "ours, oracle": ("ours", "eval"),
@@ -50,7 +49,7 @@ def section(
     """
     pictures, at_the_end = [], []
     if peers is not None:
-        for maze, reward in itertools.product(MAZES, base.REWARDS):
+        for maze, reward in itertools.product(_runs.MAZES, base.REWARDS):
             pictures += _pictures(long, peers, maze, reward, out)
         if not pictures:
             raise base.UserError(f"peers = {peers} holds no <method>-<maze>-<seed>")
@@ -69,19 +68,19 @@ def section(
 def _at_the_end(peers: pathlib.Path, reward: base.Reward) -> tables.Table:
     """Compares the last evaluations of all methods, their mean and range over seeds."""
     found: dict[str, dict[str, str]] = {}
-    for maze in MAZES:
+    for maze in _runs.MAZES:
         drawn = _at_equal_budgets(peers, _runs.task(maze, reward), "success", _by_steps)
         for label, lines in drawn.items():
             last = 100.0 * np.array([line[-1, 1] for line in lines])
             text = f"{last.mean():.0f} ({last.min():.0f} to {last.max():.0f}), {len(last)}"
             found.setdefault(label, {})[maze] = text
     rows = [
-        [label, *(found[label].get(maze, "-") for maze in MAZES)]
+        [label, *(found[label].get(maze, "-") for maze in _runs.MAZES)]
         for label in (*LINES, RAND_H)
         if label in found
     ]
     title = f"Success in % when the budget is spent, {reward} reward: mean (range), seeds"
-    return tables.Table(title, ["method", *MAZES], rows)
+    return tables.Table(title, ["method", *_runs.MAZES], rows)
 
 
 def _pictures(

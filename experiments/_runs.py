@@ -1,4 +1,4 @@
-"""Trainings and evaluations of commands that can be stopped and called again: done once each."""
+"""Runs of commands that can be stopped and called again: names, and each is made once."""
 
 import dataclasses
 import json
@@ -16,6 +16,9 @@ from eihrl_jax.evaluation import evaluate, results
 
 Run = low_config.LowConfig | high_config.HighConfig | baselines_config.BaselineConfig
 RunT = TypeVar("RunT", bound=Run)
+
+MAZES = ("random", "u", "s", "spiral")
+"""Mazes that the paper trains in (Tables 1 to 3, Figures 5 and 6)."""
 
 
 def task(maze: str, reward: base.Reward) -> str:

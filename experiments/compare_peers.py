@@ -46,7 +46,7 @@ class CompareConfig:
     """
 
     methods: tuple[str, ...] = ("ours", "rand_h", "droq", "higl", "hess")
-    mazes: tuple[str, ...] = ("random", "u", "s", "spiral")
+    mazes: tuple[str, ...] = _runs.MAZES
     rewards: tuple[base.Reward, ...] = base.REWARDS
     seeds: tuple[int, ...] = (0, 1, 2)
     num_steps: int = 100_000

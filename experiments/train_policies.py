@@ -11,9 +11,6 @@ from eihrl_jax.config import high as high_config
 from eihrl_jax.training import high, parallel
 from experiments import _cli, _runs
 
-MAZES = ("random", "u", "s", "spiral")
-"""Mazes that the paper trains in (Tables 1 to 3)."""
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PoliciesConfig:
@@ -33,7 +30,7 @@ class PoliciesConfig:
     """
 
     presets: tuple[str, ...] = tuple(presets.HIGH)
-    mazes: tuple[str, ...] = MAZES
+    mazes: tuple[str, ...] = _runs.MAZES
     rewards: tuple[base.Reward, ...] = ("sparse",)
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     out: pathlib.Path = pathlib.Path("runs/policies")
