@@ -1,0 +1,226 @@
+"""The mazes as Gymnasium environments, for learners from elsewhere.
+
+    from eihrl_jax.envs import gymnasium_maze
+
+    env = gymnasium_maze.MazeEnv(maze="u")
+    envs = gymnasium_maze.MazeVectorEnv(64, maze="u")
+
+The task is that of `goal_maze`, and a learner is told what our baselines are told. After
+`register()` they are also found as `gymnasium.make(ID, maze="u")` and `gymnasium.make_vec`.
+
+Observation: float32 [5 + P], P the robot's proprioception.
+
+| index | meaning | unit |
+|---|---|---|
+| 0, 1 | x and y of the torso, from the maze's centre | units |
+| 2 … 1 + P | qpos without x and y, then qvel | units, radians, per second |
+| 2 + P, 3 + P | x and y of the current goal, from the maze's centre | units |
+| 4 + P | control steps since the episode's start / 1,000 | |
+
+Action: float32 [A], controls in [-1, 1].
+Reward, ends of an episode and reset: those of `goal_maze`.
+Info: the metrics of `goal_maze`, so far in the episode.
+
+`pip install eihrl_jax[gym]` brings Gymnasium.
+"""
+
+import functools
+from typing import Any, ClassVar, cast
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium import spaces, vector
+from jaxtyping import Array, Float, Key
+
+from eihrl_jax import base, mazes, robots
+from eihrl_jax.envs import goal_maze, wrappers
+from eihrl_jax.physics import engine as engine_lib
+
+ID = "eihrl_jax/Maze-v0"
+"""Name under which Gymnasium knows both environments, once they are registered."""
+
+Info = dict[str, Any]
+
+
+def register() -> None:
+    """Makes `ID` known to Gymnasium."""
+    where = "eihrl_jax.envs.gymnasium_maze"
+    gymnasium.register(
+        ID, entry_point=f"{where}:MazeEnv", vector_entry_point=f"{where}:MazeVectorEnv"
+    )
+
+
+class MazeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+    """One robot in one maze; see the module."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(
+        self,
+        maze: str = "u",
+        robot: str = "ant",
+        reward: str = "sparse",
+        engine: str = "mujoco",
+        num_decisions: int | None = None,
+    ):
+        """Compiles nothing yet.
+
+        Args:
+          maze: name of a maze, or path of a text file.
+          robot: name of a robot, or path of its file.
+          reward: sparse or dense.
+          engine: mujoco or mjx.
+          num_decisions: time limit in subgoals of the robot, some control steps each; None: the
+            maze's own.
+
+        Raises:
+          base.UserError: one of them is unknown or not as it should be.
+        """
+        env, num_actions = _make(maze, robot, reward, engine, num_decisions)
+        self.observation_space, self.action_space = _spaces(env, num_actions)
+        self._see = jax.jit(functools.partial(features, side_xy=env.side_xy))
+        self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
+        self._state: base.EnvState | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, Info]:
+        """Draws a new episode; there are no options."""
+        super().reset(seed=seed, options=options)
+        self._state = state = self._reset(_key(self.np_random))
+        return np.asarray(self._see(state.obs)), _info(state)
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
+        """Advances one control step."""
+        if self._state is None:
+            raise base.UserError("step was called before reset")
+        self._state = state = self._step(self._state, jnp.asarray(action, jnp.float32))
+        obs = np.asarray(self._see(state.obs))
+        return obs, float(state.reward), bool(state.terminated), bool(state.truncated), _info(state)
+
+
+class MazeVectorEnv(vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """Robots in parallel, one compiled step for all; see the module.
+
+    A new episode begins in the step that ends one; its last observation and metrics are then in
+    the info, `final_obs` and `final_info`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": [],
+        "autoreset_mode": vector.AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        maze: str = "u",
+        robot: str = "ant",
+        reward: str = "sparse",
+        engine: str = "mujoco",
+        num_decisions: int | None = None,
+    ):
+        """Compiles nothing yet.
+
+        Args:
+          num_envs: number N of robots, each with a leading row of every array.
+          maze: see `MazeEnv`, like all that follow.
+          robot: see there.
+          reward: see there.
+          engine: see there.
+          num_decisions: see there.
+
+        Raises:
+          base.UserError: one of them is unknown or not as it should be.
+        """
+        if num_envs < 1:
+            raise base.UserError(f"num_envs = {num_envs} is below 1")
+        env, num_actions = _make(maze, robot, reward, engine, num_decisions)
+        self.num_envs = num_envs
+        self.single_observation_space, self.single_action_space = _spaces(env, num_actions)
+        self.observation_space = vector.utils.batch_space(self.single_observation_space, num_envs)
+        self.action_space = vector.utils.batch_space(self.single_action_space, num_envs)
+        walked = wrappers.auto_reset(env)
+        see = functools.partial(features, side_xy=env.side_xy)
+        self._see = jax.jit(jax.vmap(see))
+        self._reset = jax.jit(
+            lambda key: jax.vmap(walked.reset)(jax.random.split(key, self.num_envs))
+        )
+        self._step = jax.jit(jax.vmap(walked.step))
+        self._state: base.EnvState | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, Info]:
+        """Draws new episodes in all rows; there are no options."""
+        super().reset(seed=seed, options=options)
+        self._state = state = self._reset(_key(self.np_random))
+        return np.asarray(self._see(state.obs)), _info(state)
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
+        """Advances every robot one control step, and into the next episode where one has ended."""
+        if self._state is None:
+            raise base.UserError("step was called before reset")
+        self._state = state = self._step(self._state, jnp.asarray(actions, jnp.float32))
+        terminated, truncated = np.asarray(state.terminated), np.asarray(state.truncated)
+        is_done, info = terminated | truncated, _info(state)
+        if is_done.any():
+            info = {
+                **info,
+                "final_obs": np.asarray(self._see(state.final_obs)),
+                "_final_obs": is_done,
+                "final_info": info,
+                "_final_info": is_done,
+            }
+        obs = np.asarray(self._see(state.obs))
+        return obs, np.asarray(state.reward), terminated, truncated, info
+
+
+def features(obs: base.GoalObs, side_xy: tuple[int, int]) -> Float[Array, " F"]:
+    """Returns an observation as one vector, F = 5 + P, see the module.
+
+    Args:
+      obs: of a `goal_maze.GoalMaze`.
+      side_xy: its sides in units, its upper left corner at the origin.
+    """
+    centre_xy = jnp.array([side_xy[0] / 2.0, -side_xy[1] / 2.0], jnp.float32)
+    parts = obs.xy - centre_xy, obs.proprioception, obs.goal_xy - centre_xy, obs.time[None]
+    return jnp.concatenate(parts)
+
+
+def _make(
+    maze: str, robot: str, reward: str, engine: str, num_decisions: int | None
+) -> tuple[goal_maze.GoalMaze, int]:
+    """Builds what Gymnasium is shown; returns the number of controls too."""
+    if reward not in base.REWARDS:
+        raise base.UserError(
+            f"reward {reward!r} is unknown; choose one of {', '.join(base.REWARDS)}"
+        )
+    moved = engine_lib.make(robots.load(robot), engine)
+    course = mazes.load(maze, num_decisions=num_decisions)
+    env = goal_maze.GoalMaze(moved, course, reward=cast(base.Reward, reward))
+    return env, moved.model.nu
+
+
+def _spaces(env: goal_maze.GoalMaze, num_actions: int) -> tuple[spaces.Box, spaces.Box]:
+    """Returns the spaces of observations and of actions, of one robot."""
+    obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
+    num_features = jax.eval_shape(lambda obs: features(obs, env.side_xy), obs).shape
+    return (
+        spaces.Box(-np.inf, np.inf, num_features, np.float32),
+        spaces.Box(-1.0, 1.0, (num_actions,), np.float32),
+    )
+
+
+def _key(generator: np.random.Generator) -> Key[Array, ""]:
+    """Draws a random key."""
+    return jax.random.key(int(generator.integers(2**32)))
+
+
+def _info(state: base.EnvState) -> Info:
+    """Returns the metrics, of one robot or of many."""
+    return {name: np.asarray(value) for name, value in state.metrics.items()}
