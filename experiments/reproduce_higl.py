@@ -61,7 +61,7 @@ def main(config: ReproduceConfig) -> None:
         reward=config.reward,
         num_steps=config.num_steps,
         updates_per_step=config.updates_per_step,
-        reward_scale=0.1,
+        costs_time=False,
         evaluate_every=2,
         checkpoint_every=10,
         num_eval_episodes=50,

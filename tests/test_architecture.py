@@ -42,7 +42,6 @@ ONLY_IN = {
     ),
     "orbax": ("eihrl_jax/training/checkpoint.py",),
     "tensorboardX": ("eihrl_jax/training/run_folder.py",),
-    "brax": ("eihrl_jax/envs/",),
     "gymnasium": ("eihrl_jax/envs/", "experiments/_bench_low.py"),
     "tyro": ("experiments/_cli.py",),
 }

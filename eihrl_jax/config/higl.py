@@ -108,7 +108,8 @@ class Landmarks:
       num_coverage: landmarks that are spread over what has been visited.
       num_novel: landmarks that were the most novel when they were visited.
       pool: stored steps from which the former are chosen.
-      merge_radius: novel landmarks nearer than this to a newer one are dropped, units.
+      merge_radius: novel landmarks nearer than this to a newer visit, or to a more novel one that
+        is as new, are dropped, units.
       novelty_hidden: widths of the hidden layers of the networks that tell novelty.
       novelty_rate: learning rate of the one that predicts the other.
       first_step: control steps of all environments before which there is no landmark.
@@ -163,6 +164,8 @@ class HiglConfig(baselines.BaselineConfig):
       periods_per_round: subgoals of each environment between updates.
       updates_per_step: of the controller and of the novelty per control step; the manager is
         updated once where the controller is updated k times.
+      costs_time: whether each control step costs the manager 1, which makes rewards of 1 and 0
+        those of 0 and -1 of the released code. Else the guidance outweighs a goal a hundred times.
       reward_scale: of the manager's reward.
       num_candidates: subgoals among which the off-policy correction chooses; 1: no correction.
       capacity: control steps in the controller's memory.
@@ -183,7 +186,8 @@ class HiglConfig(baselines.BaselineConfig):
     period: int = 10
     periods_per_round: int = 5
     updates_per_step: float = 1.0
-    reward_scale: float = 1.0
+    costs_time: bool = True
+    reward_scale: float = 0.1
     num_candidates: int = 12
     capacity: int = 200_000
     high_capacity: int = 100_000

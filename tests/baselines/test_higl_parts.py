@@ -7,8 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax.baselines.higl import adjacency, landmarks, learning, novelty, relabelling
+from eihrl_jax import mazes, replay
+from eihrl_jax.baselines.higl import adjacency, landmarks, learning, novelty, relabelling, system
 from eihrl_jax.config import higl as config
+from eihrl_jax.envs import goal_maze
+from tests.envs import sled
 
 NO = jnp.zeros((6, 1), bool)
 YES = ~NO
@@ -52,10 +55,9 @@ def test_the_most_novel_places_are_kept_until_they_are_visited_again():
     options = config.Landmarks(num_novel=3, merge_radius=0.5, novelty_hidden=(16,))
     new = novelty.Novelty(2, options)
     state = new.init(jax.random.key(0))
-    obs = jnp.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0], [4.1, 0.0]])
-    state = new.visit(state, obs, obs, jnp.ones(4, bool))
-    # The second place is dropped for the fourth, which came near it later.
-    assert sorted(np.round(state.xy.tolist(), 1).tolist()) == [[0.0, 0.0], [0.0, 4.0], [4.1, 0.0]]
+    obs = jnp.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]])
+    state = new.visit(state, obs, obs, jnp.ones(3, bool))
+    assert sorted(state.xy.tolist()) == sorted(obs.tolist())
     often = jnp.broadcast_to(jnp.array([[[0.0, 4.0]]]), (1000, 1, 2))
     state, loss = jax.lax.scan(new.update, state, often)
     assert loss[-1] < 0.05 * loss[0]
@@ -64,8 +66,51 @@ def test_the_most_novel_places_are_kept_until_they_are_visited_again():
     after = {tuple(xy): score for xy, score in zip(state.xy.tolist(), state.score, strict=True)}
     assert after[(0.0, 4.0)] < 0.1 * before[(0.0, 4.0)]
     assert after[(0.0, 0.0)] == before[(0.0, 0.0)]
-    unseen = new.visit(new.init(jax.random.key(0)), obs, obs, jnp.zeros(4, bool))
+    unseen = new.visit(new.init(jax.random.key(0)), obs, obs, jnp.zeros(3, bool))
     assert not np.isfinite(unseen.score).any()
+
+
+def test_a_walk_of_small_steps_leaves_its_most_novel_places_apart():
+    options = config.Landmarks(num_novel=3, merge_radius=0.5, novelty_hidden=(16,))
+    new = novelty.Novelty(2, options)
+    state = new.init(jax.random.key(0))
+    walk = jnp.stack([0.2 * jnp.arange(20.0), jnp.zeros(20)], axis=1)
+    found = new.visit(state, walk, walk, jnp.ones(20, bool))
+    assert np.isfinite(found.score).all()
+    apart = np.linalg.norm(found.xy[:, None] - found.xy[None], axis=-1) + np.eye(3)
+    assert apart.min() >= 0.5
+    alone = [new.visit(state, xy[None], xy[None], jnp.ones(1, bool)).score[0] for xy in walk]
+    assert found.score[0] == pytest.approx(max(alone))
+
+
+class Stuck(sled.Sled):
+    """Stands in for a robot that never moves."""
+
+    def step(self, state, ctrl, walls_xy):
+        del ctrl, walls_xy
+        return state
+
+
+@pytest.mark.parametrize("costs_time", [False, True])
+def test_the_manager_is_paid_per_control_step_as_released(costs_time):
+    env = goal_maze.GoalMaze(Stuck(), mazes.parse("####\n#S1#\n####\n", num_decisions=2))
+    options = config.HiglConfig(
+        method="hiro",
+        guidance="none",
+        num_envs=2,
+        period=5,
+        periods_per_round=2,
+        costs_time=costs_time,
+        manager=config.Td3(hidden=(4,), reach=10.0),
+        controller=config.Td3(hidden=(4,)),
+        capacity=20,
+        high_capacity=4,
+    )
+    higl = system.Higl(env, 8, (12, 9), options)
+    state, _ = jax.jit(higl.advance)(higl.init(jax.random.key(0)))
+    rewards = replay.sample(state.high_memory, (100,), jax.random.key(0)).reward
+    # Nobody arrives: nothing is paid but the time.
+    assert set(rewards.tolist()) == {-5.0 if costs_time else 0.0}
 
 
 def subgoal_row(subgoal):

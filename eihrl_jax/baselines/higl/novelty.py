@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.networks import mlp
@@ -75,24 +75,30 @@ class Novelty:
         xy: Float[Array, "V 2"],
         is_valid: Bool[Array, " V"],
     ) -> NoveltyState:
-        """Puts visited places, the latest last, among the most novel ones.
+        """Puts visited places among the most novel ones.
 
-        A place that a later one comes nearer to than `merge_radius` is dropped: it is no longer as
-        novel as it was.
+        A place in the queue that a visit comes nearer to than `merge_radius` is dropped: it is no
+        longer as novel as it was. Of visits as near to each other the most novel one stays.
         """
-        score = jnp.where(is_valid, self._errors(state.params, state.target_params, obs), -jnp.inf)
+        square = jnp.square(state.xy[:, None] - xy[None]).sum(-1)
+        radius = self._options.merge_radius**2
+        is_seen_again = ((square < radius) & is_valid[None]).any(1)
+        kept = jnp.where(is_seen_again, -jnp.inf, state.score)
+        new = jnp.where(is_valid, self._errors(state.params, state.target_params, obs), -jnp.inf)
         every_xy = jnp.concatenate([state.xy, xy])
-        score = jnp.concatenate([state.score, score])
-        square = jnp.square(every_xy[:, None] - xy[None]).sum(-1)
-        # Visits come after the places in the queue, and after each other.
-        order = jnp.arange(every_xy.shape[0])[:, None]
-        is_later = state.xy.shape[0] + jnp.arange(xy.shape[0])[None] > order
-        is_close = (square < self._options.merge_radius**2) & is_later & is_valid[None]
-        score = jnp.where(is_close.any(1), -jnp.inf, score)
-        best, index = jax.lax.top_k(score, state.score.shape[0])
-        return state.replace(
-            obs=jnp.concatenate([state.obs, obs])[index], xy=every_xy[index], score=best
-        )
+        every_obs = jnp.concatenate([state.obs, obs])
+
+        def pick(
+            score: Float[Array, " A"], _: None
+        ) -> tuple[Float[Array, " A"], tuple[Int[Array, ""], Float[Array, ""]]]:
+            index = jnp.argmax(score).astype(jnp.int32)
+            is_near = jnp.square(every_xy - every_xy[index][None]).sum(-1) < radius
+            left = jnp.where(is_near, -jnp.inf, score).at[index].set(-jnp.inf)
+            return left, (index, score[index])
+
+        score = jnp.concatenate([kept, new])
+        _, (index, best) = jax.lax.scan(pick, score, length=state.score.shape[0])
+        return state.replace(obs=every_obs[index], xy=every_xy[index], score=best)
 
     def update(
         self, state: NoveltyState, obs: Float[Array, "B F"]

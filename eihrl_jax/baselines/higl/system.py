@@ -214,7 +214,8 @@ class Higl:
             is_end=walked.terminated | walked.truncated,
             is_running=walked.is_running,
         )
-        paid = jnp.where(walked.is_running, walked.reward, 0.0)
+        reward = walked.reward - (1.0 if self.options.costs_time else 0.0)
+        paid = jnp.where(walked.is_running, reward, 0.0)
         subgoals = relabelling.SubgoalRow(
             obs=obs.swapaxes(1, 2),
             action=walked.action.swapaxes(1, 2),
