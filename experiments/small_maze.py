@@ -119,8 +119,7 @@ def _short_hess(preset: hess_config.HessConfig) -> hess_config.HessConfig:
     """Returns HESS with smaller networks and schedules for 200,000 control steps.
 
     A point crosses some 30 units of the subgoal space in a period, so that the released reward of
-    the controller would leave the values that its critic can tell, and misses that would freeze the
-    space are as large in proportion.
+    the controller would leave the values that its critic can tell.
     """
     return dataclasses.replace(
         preset,
@@ -129,9 +128,7 @@ def _short_hess(preset: hess_config.HessConfig) -> hess_config.HessConfig:
         controller=dataclasses.replace(
             preset.controller, hidden=(128, 128), critic_hidden=(128, 128, 128), reward_scale=0.02
         ),
-        representation=dataclasses.replace(
-            preset.representation, every=50, num_updates=10_000, stop_error=10.0
-        ),
+        representation=dataclasses.replace(preset.representation, every=50, num_updates=10_000),
         exploration=dataclasses.replace(
             preset.exploration, first_episode=50, potential_episode=100
         ),

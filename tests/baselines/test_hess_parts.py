@@ -1,15 +1,18 @@
 """What HESS is made of: its two levels, memory, subgoal space and choice of subgoals."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import base
-from eihrl_jax.baselines.hess import exploration, learning, levels, memory, representation
+from eihrl_jax import base, mazes, replay
+from eihrl_jax.baselines.hess import exploration, learning, levels, memory, representation, system
 from eihrl_jax.config import hess as config
+from eihrl_jax.envs import goal_maze
+from tests.envs import sled
 
 SAC = config.Sac(hidden=(32, 32), reach=2.0, learning_rate=3e-3, temperature=0.01, target_rate=0.05)
 DDPG = config.Ddpg(
@@ -205,3 +208,78 @@ def test_the_newest_place_within_reach_is_chosen_unless_it_was_missed():
     assert choose(False) == [0.5, 6.5]
     assert choose(True) == [3.5, 0.5]
     assert choose(True, jnp.array([500.0, 0.0])) in candidates.tolist()
+
+
+@pytest.mark.parametrize(
+    ("miss", "num_blocks", "frozen"), [(1.9, 1, True), (2.1, 1, False), (0.0, 0, False)]
+)
+def test_a_trained_subgoal_space_is_frozen_once_little_is_missed(miss, num_blocks, frozen):
+    options = config.HessConfig(method="hess", capacity=10, manager=SAC, controller=DDPG)
+    learner = learning.Learning(2, 1, 100, options)
+    learned = learner.init(100, jax.random.key(0))
+    learned = learned.replace(space=learned.space.replace(num_blocks=jnp.int32(num_blocks)))
+    episodes = memory.init(10, 50, 2, (2, 1))
+    args = learned, episodes, jnp.int32(110), jnp.float32(miss), jax.random.key(1)
+    found, _ = jax.jit(learner.train_space)(*args)
+    assert bool(found.space.is_frozen) == frozen
+
+
+class Breaking(sled.Sled):
+    """Stands in for a simulation that breaks down at once."""
+
+    def step(self, state, ctrl, walls_xy):
+        del ctrl, walls_xy
+        return state.replace(qpos=state.qpos.at[7].set(jnp.nan))
+
+
+class Jump(sled.Sled):
+    """Stands in for a robot that is at the goal, one cell east, after a step."""
+
+    def step(self, state, ctrl, walls_xy):
+        return super().step(state, jnp.zeros_like(ctrl).at[0].set(sled.K), walls_xy)
+
+
+class Stuck(sled.Sled):
+    """Stands in for a robot that never moves."""
+
+    def step(self, state, ctrl, walls_xy):
+        del ctrl, walls_xy
+        return state
+
+
+@functools.cache
+def after_a_round(engine, first_episode):
+    """Returns HESS's state after an episode of two robots; from then on nearly all is explored."""
+    env = goal_maze.GoalMaze(engine(), mazes.parse("####\n#S1#\n####\n", num_decisions=4))
+    options = config.HessConfig(
+        method="hess",
+        num_envs=2,
+        period=10,
+        capacity=4,
+        high_capacity=4,
+        manager=config.Sac(hidden=(4,)),
+        controller=config.Ddpg(hidden=(4,), critic_hidden=(4,), updates_per_episode=1),
+        exploration=config.Exploration(first_episode=first_episode, success_weight=0.0),
+    )
+    hess = system.Hess(env, 8, (12, 9), 20, options)
+    return jax.jit(hess.advance)(hess.init(jax.random.key(0)))[0]
+
+
+def walked_rows(state):
+    rows = replay.sample(state.high_memory, (100,), jax.random.key(0))
+    return jax.tree.map(lambda leaf: leaf[rows.is_running], rows.transition)
+
+
+def test_breaking_down_is_not_worth_arriving():
+    rows = walked_rows(after_a_round(Breaking, 0))
+    np.testing.assert_allclose(rows.discount, 0.99)
+    np.testing.assert_array_equal(rows.reward, -1.0)
+    rows = walked_rows(after_a_round(Jump, 0))
+    np.testing.assert_array_equal(rows.discount, 0.0)
+    np.testing.assert_array_equal(rows.reward, 0.0)
+
+
+def test_only_what_exploration_chose_and_was_walked_for_is_missed():
+    assert np.isinf(after_a_round(Stuck, 1).miss)
+    assert after_a_round(Stuck, 0).miss > 0.0
+    assert after_a_round(Jump, 0).miss == 0.0

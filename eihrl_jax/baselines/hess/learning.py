@@ -119,7 +119,7 @@ class Learning:
     ) -> tuple[Learned, Float[Array, ""]]:
         """Trains the subgoal space where that is due; returns the loss, else NaN.
 
-        Once trained, it is frozen as soon as recent subgoals were missed by little.
+        Once trained, it is frozen as soon as `miss`, see `HessState`, is little.
         """
         options = self._options.representation
         before = num_episodes - self._options.num_envs

@@ -4,6 +4,7 @@ Haarnoja et al. 2018 (SAC) with a fixed temperature; Lillicrap et al. 2016 (DDPG
 tells a time: its output d, in control steps, means the value -(1 - gamma^d) / (1 - gamma).
 """
 
+import math
 from typing import Any, cast
 
 import jax
@@ -41,7 +42,7 @@ class LevelState(struct.PyTreeNode):
 
 
 class Sac:
-    """The upper level; actions lie within `reach` of zero."""
+    """The upper level; actions lie within `reach` of zero, and so critics see them."""
 
     def __init__(
         self,
@@ -111,7 +112,7 @@ class Sac:
             target = jnp.clip(target, self._value_floor, 0.0)
 
         def critic_loss(params: Any) -> Float[Array, ""]:
-            values = self._values(params, batch.obs, batch.action / options.reach)
+            values = self._values(params, batch.obs, batch.action)
             return (weight[None] * jnp.square(values - target[None])).mean(-1).sum()
 
         loss, grads = jax.value_and_grad(critic_loss)(state.critic_params)
@@ -148,8 +149,11 @@ class Sac:
     def _sample(
         self, params: Any, obs: Float[Array, "B F"], key: Key[Array, ""]
     ) -> tuple[Float[Array, "B A"], Float[Array, " B"]]:
+        """Draws actions within the reach; returns the logarithms of their densities too."""
         mean, log_std = self._squashed(params, obs)
-        return tanh_normal.sample(mean, log_std, key)
+        action, log_prob = tanh_normal.sample(mean, log_std, key)
+        reach = self.options.reach
+        return reach * action, log_prob - self._num_actions * math.log(reach)
 
     def _values(
         self, params: Any, obs: Float[Array, "B F"], action: Float[Array, "B A"]

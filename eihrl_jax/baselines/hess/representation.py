@@ -102,7 +102,8 @@ class Representation:
         """
         anchor_params, losses = state.params, state.loss
         weight = jnp.where(state.num_blocks > 0, stability, 0.0)
-        worst, anchored = self._split(stored, losses)
+        tie_key, key = jax.random.split(key)
+        worst, anchored = self._split(stored, losses, tie_key)
 
         def body(
             carry: tuple[Any, Any, Float[Array, "E T"]], key: Key[Array, ""]
@@ -140,7 +141,7 @@ class Representation:
         """Returns the whole loss, and the contrastive one of each of the steps `pair`."""
         own = self._contrast(params, stored, *pair)
         moved = self.place(params, calm) - calm_place
-        return own.mean() + stability * jnp.square(moved).sum(-1).mean(), own
+        return own.mean() + stability * jnp.square(moved).mean(), own
 
     def _contrast(
         self, params: Any, stored: Stored, episode: Int[Array, " B"], step: Int[Array, " B"]
@@ -153,12 +154,16 @@ class Representation:
         far = jnp.square(here - later).mean(-1)
         return near + jnp.maximum(1.0 - far, 0.0)
 
-    def _split(self, stored: Stored, losses: Float[Array, "E T"]) -> tuple["_Part", "_Part"]:
+    def _split(
+        self, stored: Stored, losses: Float[Array, "E T"], key: Key[Array, ""]
+    ) -> tuple["_Part", "_Part"]:
         """Returns the worse half of the stored steps, and those that are anchored."""
         step = jnp.arange(losses.shape[1], dtype=jnp.int32)
         is_usable = step[None] + self._period <= stored.length[:, None]
-        # Steps that were never drawn count as the worst; what is unusable comes after all others.
-        known = jnp.where(jnp.isfinite(losses), losses, jnp.finfo(jnp.float32).max)
+        # Steps that were never drawn count as the worst, in any order; what is unusable comes after
+        # all others.
+        unknown = jax.random.uniform(key, losses.shape, minval=1e30, maxval=2e30)
+        known = jnp.where(jnp.isfinite(losses), losses, unknown)
         order = jnp.argsort(jnp.where(is_usable, known, jnp.inf).ravel()).astype(jnp.int32)
         num = is_usable.sum(dtype=jnp.float32)
         calm = self.options.anchored_share * num

@@ -31,7 +31,8 @@ class HessState(struct.PyTreeNode):
       envs: environments with leading axis N.
       key: of what comes next.
       success: float32, of recent episodes.
-      miss: float32, by how much recent subgoals were missed, in the subgoal space.
+      miss: float32, by how much exploration's subgoals of an episode were missed in sum, recently,
+        in the subgoal space; inf: it hasn't begun.
       num_episodes: int32, episodes of all environments so far.
       num_steps: int32, control steps of all environments so far.
     """
@@ -265,7 +266,9 @@ class Hess:
         batch = self._episode_batch(space.params, walked)
         reached = batch.place[:, self.options.period :: self.options.period]
         chosen = walked.subgoal[:, 0].swapaxes(0, 1)
-        is_selected = walked.is_running[:, 0].T & (chosen[..., 6] > 0.0)
+        # A robot that has arrived at its goal doesn't go on to its subgoal.
+        has_arrived = walked.terminated[:, -1].T
+        is_selected = walked.is_running[:, 0].T & (chosen[..., 6] > 0.0) & ~has_arrived
         square = self.options.exploration.square
         steps = jnp.arange(batch.place.shape[1], dtype=jnp.int32)
         was_there = (steps[None] <= batch.length[:, None]) & (space.num_blocks > 0)
@@ -273,10 +276,6 @@ class Hess:
         distance = jnp.sqrt(jnp.square(batch.subgoal - reached).sum(-1))
         distance = jnp.where(is_selected, distance, 0.0)
         squares = exploration.miss(squares, chosen[..., 4:6], distance, square)
-        count = is_selected.sum(dtype=jnp.float32)
-        miss = distance.sum() / jnp.maximum(count, 1.0)
-        known = jnp.where(jnp.isfinite(state.miss), state.miss, miss)
-        miss = jnp.where(count > 0, (1.0 - _RECENT) * known + _RECENT * miss, state.miss)
         ends = periods.summarise(walked)
         success = ends["sum_success"] / jnp.maximum(ends["episodes"], 1.0)
         return state.replace(
@@ -284,9 +283,17 @@ class Hess:
             episodes=memory.add(state.episodes, batch),
             high_memory=replay.add(state.high_memory, self._subgoal_rows(walked)),
             success=(1.0 - _RECENT) * state.success + _RECENT * success,
-            miss=miss,
+            miss=self._recent_miss(state, distance.sum(1).mean()),
             learned=state.learned.replace(space=_with_new_episodes(state, batch)),
         )
+
+    def _recent_miss(self, state: HessState, miss: Float[Array, ""]) -> Float[Array, ""]:
+        """Returns `HessState.miss` after a round, whose episodes' mean is `miss`."""
+        is_first = ~jnp.isfinite(state.miss)
+        recent = jnp.where(is_first, miss, (1.0 - _RECENT) * state.miss + _RECENT * miss)
+        before = state.num_episodes - self.options.num_envs
+        has_explored = before >= self.options.exploration.first_episode
+        return jnp.where(has_explored, recent, state.miss)
 
     def _look_ahead(self, state: HessState) -> exploration.ExplorationState:
         """Computes the novelty of places anew where that is due."""
@@ -323,7 +330,9 @@ class Hess:
         see = jax.vmap(jax.vmap(self._manager_features))
         first = jax.tree.map(lambda leaf: leaf[:, 0], walked.obs)
         last = jax.tree.map(lambda leaf: leaf[:, -1], walked.next_obs)
-        ends = walked.terminated[:, -1].astype(jnp.float32)
+        # A simulation that breaks down is no end without a value: nothing costs less.
+        has_broken = walked.metrics["broke_down"][:, -1] > 0.0
+        ends = (walked.terminated[:, -1] & ~has_broken).astype(jnp.float32)
         reward = walked.reward - (1.0 if self.options.costs_time else 0.0)
         paid = jnp.where(walked.is_running, reward, 0.0).sum(1)
         rows = learning.SubgoalRow(
