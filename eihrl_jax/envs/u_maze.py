@@ -5,8 +5,9 @@ which HIGL's origin, the middle of the start cell, lies at `START_XY`.
 Reward: sparse, 0 within `RADIUS` of the goal, else -1; or dense, minus the distance to the goal.
 End of an episode: truncated after 500 control steps; where `ends_at_goal`, as in the evaluation,
 terminated within `RADIUS` of the goal; terminated by a simulation that breaks down.
-Reset: the ant stands in the start cell, turned at random; the goal is drawn uniformly from a square
-that holds the maze's inside, walls included, or is the far end of the U.
+Reset: the ant stands in the middle of the start cell, facing east (released: up to 0.1 off); the
+goal is drawn uniformly from a square that holds the maze's inside, walls included, or is the far
+end of the U.
 
 Source: Kim et al. 2021, Appendix; Nachum et al. 2018.
 """
@@ -88,7 +89,7 @@ class UMaze:
         goal_xy = start_xy + (jnp.array(FAR_XY) if self._is_evaluation else drawn)
         no = jnp.zeros((), bool)
         physics = locomotion.draw_pose(self._engine, start_xy, pose_key)
-        qpos = physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0]))  # as released
+        qpos = physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0]))
         walk = UWalk(
             physics=engine_lib.reset(qpos, physics.qvel),
             goal_xy=goal_xy,
