@@ -92,18 +92,20 @@ def options_of(config: SmallConfig, method: str, seed: int) -> baselines_config.
 def _short_higl(preset: higl_config.HiglConfig) -> higl_config.HiglConfig:
     """Returns HIRO, HRAC or HIGL with subgoals of a point's size, for 60,000 control steps.
 
-    What holds the manager back is learned and begins early, and it forgets wrong values fast.
+    What holds the manager back is learned and begins early.
     """
-    controller = dataclasses.replace(
-        preset.controller, reach=1.0, noise=0.3, target_noise=0.1, target_clip=0.3
+    preset = dataclasses.replace(
+        preset,
+        num_steps=60_000,
+        manager=dataclasses.replace(preset.manager, reach=3.0),
+        controller=dataclasses.replace(
+            preset.controller, reach=1.0, noise=0.3, target_noise=0.1, target_clip=0.3
+        ),
     )
-    preset = dataclasses.replace(preset, num_steps=60_000, controller=controller)
     if preset.guidance == "none":
         return dataclasses.replace(preset, updates_per_step=0.5)
     preset = dataclasses.replace(
-        preset,
-        manager=dataclasses.replace(preset.manager, gamma=0.95, target_rate=0.02),
-        adjacency=dataclasses.replace(preset.adjacency, period=10_000),
+        preset, adjacency=dataclasses.replace(preset.adjacency, period=10_000)
     )
     if preset.guidance == "adjacency":
         return preset
