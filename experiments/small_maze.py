@@ -121,7 +121,8 @@ def _short_hess(preset: hess_config.HessConfig) -> hess_config.HessConfig:
     """Returns HESS with smaller networks and schedules for 200,000 control steps.
 
     A point crosses some 30 units of the subgoal space in a period, so that the released reward of
-    the controller would leave the values that its critic can tell.
+    the controller would leave the values that its critic can tell. It begins anywhere, and success
+    from nearby must not end the exploration.
     """
     return dataclasses.replace(
         preset,
@@ -132,7 +133,7 @@ def _short_hess(preset: hess_config.HessConfig) -> hess_config.HessConfig:
         ),
         representation=dataclasses.replace(preset.representation, every=50, num_updates=10_000),
         exploration=dataclasses.replace(
-            preset.exploration, first_episode=50, potential_episode=100
+            preset.exploration, first_episode=50, potential_episode=100, success_weight=1.0
         ),
     )
 
