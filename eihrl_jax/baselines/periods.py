@@ -103,6 +103,17 @@ def walk(
     return envs, period
 
 
+def paid(period: Period, costs_time: bool) -> Float[Array, "*T"]:
+    """Returns the task's rewards of steps that count, 0 of others; leading axes of the period.
+
+    Args:
+      period: what was walked.
+      costs_time: whether each step costs 1, which makes rewards of 1 and 0 those of 0 and -1.
+    """
+    reward = period.reward - (1.0 if costs_time else 0.0)
+    return jnp.where(period.is_running, reward, 0.0)
+
+
 def summarise(period: Period) -> dict[str, Float[Array, ""]]:
     """Returns the metrics of the episodes that ended, see `sum_ends`; leading axes any."""
     is_end = period.is_running & (period.terminated | period.truncated)

@@ -25,6 +25,7 @@ Info: the metrics of `goal_maze`, so far in the episode.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, ClassVar, cast
 
 import gymnasium
@@ -32,7 +33,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium import spaces, vector
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.envs import goal_maze, wrappers
@@ -80,24 +81,19 @@ class MazeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         env, num_actions = _make(maze, robot, reward, engine, num_decisions)
         self.observation_space, self.action_space = _spaces(env, num_actions)
-        self._see = jax.jit(functools.partial(features, side_xy=env.side_xy))
-        self._reset, self._step = jax.jit(env.reset), jax.jit(env.step)
-        self._state: base.EnvState | None = None
+        self._walk = _Walk(env.reset, env.step, functools.partial(features, side_xy=env.side_xy))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
         """Draws a new episode; there are no options."""
         super().reset(seed=seed, options=options)
-        self._state = state = self._reset(_key(self.np_random))
-        return np.asarray(self._see(state.obs)), _info(state)
+        return self._walk.begin(self.np_random)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
         """Advances one control step."""
-        if self._state is None:
-            raise base.UserError("step was called before reset")
-        self._state = state = self._step(self._state, jnp.asarray(action, jnp.float32))
-        obs = np.asarray(self._see(state.obs))
+        state = self._walk.advance(action)
+        obs = self._walk.see(state.obs)
         return obs, float(state.reward), bool(state.terminated), bool(state.truncated), _info(state)
 
 
@@ -143,41 +139,65 @@ class MazeVectorEnv(vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.observation_space = vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = vector.utils.batch_space(self.single_action_space, num_envs)
         walked = wrappers.auto_reset(env)
-        see = functools.partial(features, side_xy=env.side_xy)
-        self._see = jax.jit(jax.vmap(see))
-        self._reset = jax.jit(
-            lambda key: jax.vmap(walked.reset)(jax.random.split(key, self.num_envs))
+        self._walk = _Walk(
+            lambda key: jax.vmap(walked.reset)(jax.random.split(key, num_envs)),
+            jax.vmap(walked.step),
+            jax.vmap(functools.partial(features, side_xy=env.side_xy)),
         )
-        self._step = jax.jit(jax.vmap(walked.step))
-        self._state: base.EnvState | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
         """Draws new episodes in all rows; there are no options."""
         super().reset(seed=seed, options=options)
-        self._state = state = self._reset(_key(self.np_random))
-        return np.asarray(self._see(state.obs)), _info(state)
+        return self._walk.begin(self.np_random)
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
         """Advances every robot one control step, and into the next episode where one has ended."""
-        if self._state is None:
-            raise base.UserError("step was called before reset")
-        self._state = state = self._step(self._state, jnp.asarray(actions, jnp.float32))
+        state = self._walk.advance(actions)
         terminated, truncated = np.asarray(state.terminated), np.asarray(state.truncated)
         is_done, info = terminated | truncated, _info(state)
         if is_done.any():
             info = {
                 **info,
-                "final_obs": np.asarray(self._see(state.final_obs)),
+                "final_obs": self._walk.see(state.final_obs),
                 "_final_obs": is_done,
                 "final_info": info,
                 "_final_info": is_done,
             }
-        obs = np.asarray(self._see(state.obs))
+        obs = self._walk.see(state.obs)
         return obs, np.asarray(state.reward), terminated, truncated, info
+
+
+class _Walk:
+    """Where the episodes of one robot or of many stand, and what moves them, compiled."""
+
+    def __init__(
+        self,
+        reset: Callable[[Array], base.EnvState],
+        step: Callable[[base.EnvState, Array], base.EnvState],
+        see: Callable[[base.GoalObs], Array],
+    ):
+        self._reset, self._step, self._see = jax.jit(reset), jax.jit(step), jax.jit(see)
+        self._state: base.EnvState | None = None
+
+    def begin(self, generator: np.random.Generator) -> tuple[np.ndarray, Info]:
+        """Draws new episodes; returns what is seen, and the info."""
+        self._state = state = self._reset(jax.random.key(int(generator.integers(2**32))))
+        return self.see(state.obs), _info(state)
+
+    def advance(self, action: np.ndarray) -> base.EnvState:
+        """Advances one control step."""
+        if self._state is None:
+            raise base.UserError("step was called before reset")
+        self._state = state = self._step(self._state, jnp.asarray(action, jnp.float32))
+        return state
+
+    def see(self, obs: base.GoalObs) -> np.ndarray:
+        """Returns observations as vectors."""
+        return np.asarray(self._see(obs))
 
 
 def features(obs: base.GoalObs, side_xy: tuple[int, int]) -> Float[Array, " F"]:
@@ -214,11 +234,6 @@ def _spaces(env: goal_maze.GoalMaze, num_actions: int) -> tuple[spaces.Box, spac
         spaces.Box(-np.inf, np.inf, num_features, np.float32),
         spaces.Box(-1.0, 1.0, (num_actions,), np.float32),
     )
-
-
-def _key(generator: np.random.Generator) -> Key[Array, ""]:
-    """Draws a random key."""
-    return jax.random.key(int(generator.integers(2**32)))
 
 
 def _info(state: base.EnvState) -> Info:

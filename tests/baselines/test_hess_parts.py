@@ -239,14 +239,6 @@ class Jump(sled.Sled):
         return super().step(state, jnp.zeros_like(ctrl).at[0].set(sled.K), walls_xy)
 
 
-class Stuck(sled.Sled):
-    """Stands in for a robot that never moves."""
-
-    def step(self, state, ctrl, walls_xy):
-        del ctrl, walls_xy
-        return state
-
-
 @functools.cache
 def after_a_round(engine, first_episode):
     """Returns HESS's state after an episode of two robots; from then on nearly all is explored."""
@@ -280,6 +272,6 @@ def test_breaking_down_is_not_worth_arriving():
 
 
 def test_only_what_exploration_chose_and_was_walked_for_is_missed():
-    assert np.isinf(after_a_round(Stuck, 1).miss)
-    assert after_a_round(Stuck, 0).miss > 0.0
+    assert np.isinf(after_a_round(sled.Stuck, 1).miss)
+    assert after_a_round(sled.Stuck, 0).miss > 0.0
     assert after_a_round(Jump, 0).miss == 0.0

@@ -83,17 +83,9 @@ def test_a_walk_of_small_steps_leaves_its_most_novel_places_apart():
     assert found.score[0] == pytest.approx(max(alone))
 
 
-class Stuck(sled.Sled):
-    """Stands in for a robot that never moves."""
-
-    def step(self, state, ctrl, walls_xy):
-        del ctrl, walls_xy
-        return state
-
-
 @pytest.mark.parametrize("costs_time", [False, True])
 def test_the_manager_is_paid_per_control_step_as_released(costs_time):
-    env = goal_maze.GoalMaze(Stuck(), mazes.parse("####\n#S1#\n####\n", num_decisions=2))
+    env = goal_maze.GoalMaze(sled.Stuck(), mazes.parse("####\n#S1#\n####\n", num_decisions=2))
     options = config.HiglConfig(
         method="hiro",
         guidance="none",

@@ -28,3 +28,11 @@ class Sled:
         qpos = qpos.at[7].set(jnp.where(ctrl[3] > 0.5, jnp.nan, qpos[7]))
         is_moving = jnp.isfinite(ctrl).all()
         return state.replace(qpos=jnp.where(is_moving, qpos, state.qpos))
+
+
+class Stuck(Sled):
+    """Stands in for a robot that never moves."""
+
+    def step(self, state, ctrl, walls_xy):
+        del ctrl, walls_xy
+        return state

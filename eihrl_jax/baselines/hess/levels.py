@@ -91,9 +91,9 @@ class Sac:
         deterministic: bool = False,
     ) -> Float[Array, " A"]:
         """Returns an action within the reach: a sample, or the squashed mean."""
-        mean, log_std = self._squashed(actor_params, obs)
-        action = jnp.tanh(mean) if deterministic else tanh_normal.sample(mean, log_std, key)[0]
-        return self.options.reach * action
+        if deterministic:
+            return self.options.reach * jnp.tanh(self._squashed(actor_params, obs)[0])
+        return self._sample(actor_params, obs, key)[0]
 
     def update(
         self,
@@ -147,8 +147,8 @@ class Sac:
         return cast(tuple[Array, Array], self._actor.apply({"params": params}, obs))
 
     def _sample(
-        self, params: Any, obs: Float[Array, "B F"], key: Key[Array, ""]
-    ) -> tuple[Float[Array, "B A"], Float[Array, " B"]]:
+        self, params: Any, obs: Float[Array, "*B F"], key: Key[Array, ""]
+    ) -> tuple[Float[Array, "*B A"], Float[Array, "*B"]]:
         """Draws actions within the reach; returns the logarithms of their densities too."""
         mean, log_std = self._squashed(params, obs)
         action, log_prob = tanh_normal.sample(mean, log_std, key)

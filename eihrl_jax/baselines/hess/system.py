@@ -266,9 +266,9 @@ class Hess:
         batch = self._episode_batch(space.params, walked)
         reached = batch.place[:, self.options.period :: self.options.period]
         chosen = walked.subgoal[:, 0].swapaxes(0, 1)
-        # A robot that has arrived at its goal doesn't go on to its subgoal.
-        has_arrived = walked.terminated[:, -1].T
-        is_selected = walked.is_running[:, 0].T & (chosen[..., 6] > 0.0) & ~has_arrived
+        # A robot whose episode has ended at its goal doesn't go on to its subgoal.
+        has_ended = walked.terminated[:, -1].T
+        is_selected = walked.is_running[:, 0].T & (chosen[..., 6] > 0.0) & ~has_ended
         square = self.options.exploration.square
         steps = jnp.arange(batch.place.shape[1], dtype=jnp.int32)
         was_there = (steps[None] <= batch.length[:, None]) & (space.num_blocks > 0)
@@ -333,13 +333,11 @@ class Hess:
         # A simulation that breaks down is no end without a value: nothing costs less.
         has_broken = walked.metrics["broke_down"][:, -1] > 0.0
         ends = (walked.terminated[:, -1] & ~has_broken).astype(jnp.float32)
-        reward = walked.reward - (1.0 if self.options.costs_time else 0.0)
-        paid = jnp.where(walked.is_running, reward, 0.0).sum(1)
         rows = learning.SubgoalRow(
             transition=base.Transition(
                 obs=see(first),
                 action=walked.subgoal[:, 0, :, 2:4],
-                reward=paid,
+                reward=periods.paid(walked, self.options.costs_time).sum(1),
                 discount=self.options.manager.gamma * (1.0 - ends),
                 next_obs=see(last),
             ),

@@ -214,15 +214,13 @@ class Higl:
             is_end=walked.terminated | walked.truncated,
             is_running=walked.is_running,
         )
-        reward = walked.reward - (1.0 if self.options.costs_time else 0.0)
-        paid = jnp.where(walked.is_running, reward, 0.0)
         subgoals = relabelling.SubgoalRow(
             obs=obs.swapaxes(1, 2),
             action=walked.action.swapaxes(1, 2),
             is_running=walked.is_running.swapaxes(1, 2),
             subgoal=walked.subgoal[:, 0],
             goal_xy=jax.vmap(jax.vmap(self._centred))(walked.obs.goal_xy[:, 0]),
-            reward=paid.sum(1),
+            reward=periods.paid(walked, self.options.costs_time).sum(1),
             next_obs=next_obs[:, -1],
             next_goal_xy=jax.vmap(jax.vmap(self._centred))(walked.next_obs.goal_xy[:, -1]),
             terminated=walked.terminated[:, -1],
