@@ -4,6 +4,7 @@ Exit codes: 0 done, 2 the user's mistake, 130 interrupted with Ctrl-C.
 """
 
 import contextlib
+import errno
 import functools
 import io
 import itertools
@@ -19,6 +20,9 @@ import tyro
 from eihrl_jax import base
 
 ConfigT = TypeVar("ConfigT")
+
+_PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EROFS, errno.ENOSPC)
+"""What is wrong with the place that files are to be read from or written to."""
 
 
 def run(
@@ -45,6 +49,10 @@ def run(
         main(_parse(config_type, presets or {}, arguments, option))
     except base.UserError as error:
         _fail(str(error))
+    except OSError as error:
+        if error.errno not in _PLACE_ERRORS:
+            raise
+        _fail(f"{error.filename}: {error.strerror}")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(130)

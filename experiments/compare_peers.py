@@ -24,6 +24,7 @@ _WORKERS = 4
 _LOG_EVERY = 5
 _EVALUATE_EVERY = 10
 _EPISODES = 50
+_RANDOM_EPISODES = 500  # RAND-H learns nothing: it is measured once, so as precisely as can be had.
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -123,7 +124,7 @@ def random_options(config: CompareConfig, run: Run) -> evaluate_config.EvaluateC
         movement=("full",),
         high=(evaluate_config.RANDOM,),
         reward=run.reward,
-        episodes=_EPISODES,
+        episodes=_RANDOM_EPISODES,
         seeds=(run.seed,),
         animate="none",
         heatmaps=False,

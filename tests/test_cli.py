@@ -112,6 +112,20 @@ def test_users_mistake_found_later_gets_one_line(capsys):
     assert capsys.readouterr().err == "error: maze has no start\n"
 
 
+def test_a_place_that_cannot_be_written_to_gets_one_line(tmp_path, capsys):
+    (tmp_path / "file").touch()
+
+    def main(_):
+        (tmp_path / "file" / "run").mkdir(parents=True)
+
+    with pytest.raises(SystemExit) as end:
+        _cli.run(main, Options, PRESETS, [])
+    assert end.value.code == 2
+    assert capsys.readouterr().err.splitlines() == [
+        f"error: {tmp_path / 'file' / 'run'}: Not a directory"
+    ]
+
+
 def test_programming_error_keeps_its_traceback():
     def main(_):
         raise ZeroDivisionError

@@ -96,7 +96,7 @@ class FlatDroq:
 
     def policy(self, state: FlatState) -> dict[str, Any]:
         """Returns what acts."""
-        return {"actor": state.learner.actor_params}
+        return {"actor": state.learner.average_params}
 
     def start(self) -> tuple[()]:
         """Returns what the policy remembers at an episode's beginning, which is nothing."""

@@ -70,6 +70,7 @@ class EvaluateConfig:
                 raise base.UserError(f"{name} names {repeated[0]!r} more than once")
         checks.one_of("reward", self.reward, base.REWARDS)
         checks.measured_alone(self.measured, self.step, self.sigma)
+        self._check_movement()
         checks.in_range("episodes", self.episodes, 1, 1_000_000)
         for seed in self.seeds:
             checks.in_range("seeds", seed, 0, 2**32 - 1)
@@ -80,3 +81,13 @@ class EvaluateConfig:
                 f"low names {len(self.low)} policies for {len(self.robot)} robots; "
                 "give one for each robot, or none"
             )
+
+    def _check_movement(self) -> None:
+        """Checks that options of one way of moving don't come without it."""
+        moves = {"step": base.CELL, "sigma": 0.3, "measured": None}
+        for name, default in moves.items():
+            value = getattr(self, name)
+            if value != default and "oracle" not in self.movement:
+                raise base.UserError(f"{name} = {value} is of oracle movement, not evaluated here")
+        if self.low and "full" not in self.movement:
+            raise base.UserError(f"low = {self.low[0]} is of full movement, not evaluated here")

@@ -11,6 +11,9 @@ from typing import Literal
 from eihrl_jax import base
 from eihrl_jax.config import checks
 
+DEFAULT_MAZE = "random"
+"""Where a high level is trained if nothing else is asked for (paper, Sec. 4.3)."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Task:
@@ -37,7 +40,7 @@ class Task:
       room_walls: greatest share of inner wall in such a room.
     """
 
-    maze: str = "random"
+    maze: str = DEFAULT_MAZE
     num_decisions: int | None = None
     robot: str = "ant"
     reward: base.Reward = "sparse"
@@ -65,6 +68,11 @@ class Task:
             checks.in_range("num_postures", self.num_postures, 1, 1_000_000)
         checks.in_range("map_radius", self.map_radius, 0, 32)
         checks.in_range("num_rooms", self.num_rooms, 0, 100_000)
+        if self.num_rooms and self.maze != DEFAULT_MAZE:
+            raise base.UserError(
+                f"maze = {self.maze!r} and num_rooms = {self.num_rooms} exclude each other: "
+                "training is in one maze, or in random rooms"
+            )
         least, greatest = self.room_sides
         checks.in_range("room_sides", greatest, 2, 100)
         checks.in_range("room_sides", least, 2, greatest)

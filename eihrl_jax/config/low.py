@@ -4,6 +4,7 @@ import dataclasses
 import pathlib
 from typing import Literal, get_args
 
+from eihrl_jax import base
 from eihrl_jax.config import checks
 
 Frame = Literal["world", "direction", "canonical"]
@@ -47,7 +48,7 @@ class LowReward:
         nothing, -1 where going too far costs as much as going back.
       is_paced: the point beyond which progress pays `beyond_cell` moves steadily from the start to
         one cell ahead in the subgoal's time, so that hurrying gains nothing.
-      fall_cost: what a fall costs besides the end of the episode; 0 in eq. 1.
+      fall_cost: what a fall costs besides the end of the episode, which it must end; 0 in eq. 1.
     """
 
     scale: float = 3.0
@@ -197,3 +198,8 @@ class LowConfig:
         checks.divides(
             "evaluate_every", self.evaluate_every, "checkpoint_every", self.checkpoint_every
         )
+        if self.reward.fall_cost and not self.ends_at_fall:
+            raise base.UserError(
+                f"fall_cost = {self.reward.fall_cost} is the price of a fall that ends an episode: "
+                "it must be 0 where ends_at_fall is off"
+            )

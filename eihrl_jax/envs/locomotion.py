@@ -252,12 +252,8 @@ class Locomotion:
         walk: Walk = state.inner
         key, direction_key = jax.random.split(state.key)
         before_xy = walk.physics.qpos[:2]
-        near = walls.nearby(self.room(walk.room), before_xy, self.robot.num_walls)
-        stepped = self._engine.step(walk.physics, action, near)
-        is_finite = jnp.isfinite(jnp.concatenate([stepped.qpos, stepped.qvel])).all()
-        physics = jax.tree.map(
-            lambda new, old: jnp.where(is_finite, new, old), stepped, walk.physics
-        )
+        room, always = self.room(walk.room), jnp.ones((), bool)
+        physics, is_broken = move(self._engine, walk.physics, action, room, always)
 
         displacement_xy = physics.qpos[:2] - walk.subgoal_xy
         along, lateral = rotations.to_direction_frame(displacement_xy, walk.direction)
@@ -266,7 +262,7 @@ class Locomotion:
         drawn = jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS)
         is_down = is_fallen(physics.qpos, self.robot)
         fell = is_down & (self._ends_at_fall | ~is_fallen(walk.physics.qpos, self.robot))
-        terminated = (is_down & self._ends_at_fall) | ~is_finite
+        terminated = (is_down & self._ends_at_fall) | is_broken
         new_walk = walk.replace(
             physics=physics,
             subgoal_xy=jnp.where(is_switch, physics.qpos[:2], walk.subgoal_xy),
@@ -299,7 +295,7 @@ class Locomotion:
                 "along": switched * along,
                 "lateral": switched * lateral,
                 "fell": fell.astype(jnp.float32),
-                "broke_down": 1.0 - is_finite.astype(jnp.float32),
+                "broke_down": is_broken.astype(jnp.float32),
             },
             key=key,
         )

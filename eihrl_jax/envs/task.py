@@ -193,8 +193,8 @@ def current_goal_xy(course: Course, nav: Navigation) -> Float[Array, "2"]:
 
     Once all have been visited, it is that of the last one.
     """
-    num_goals = _of(course.mazes.num_goals, nav.maze)
-    current = jnp.minimum(jnp.argmin(nav.visited), num_goals - 1)
+    last = _of(course.mazes.num_goals, nav.maze) - 1
+    current = jnp.where(nav.visited.all(), last, jnp.minimum(jnp.argmin(nav.visited), last))
     is_door = (current == 0) & (nav.door_ij[0] != NO_DOOR)
     door_xy = maze_lib.cell_xy(nav.door_ij)
     return jnp.where(is_door, door_xy, _of(course.goal_xy, nav.maze)[current])

@@ -100,7 +100,7 @@ def save_spread(
 
     Args:
       path: where the picture goes.
-      groups: curves by label; those of a group are compared as far as the shortest goes.
+      groups: curves by label; those of a group are compared where all of them are, see `aligned`.
       x_label: what the horizontal axis is.
       y_label: what the vertical axis is, with its unit.
       y_scale: factor on the values, e.g. 100 for per cent.
@@ -115,9 +115,8 @@ def save_spread(
     line_of = dict(zip(dict.fromkeys([*labels, *groups]), lines, strict=False))
     for label, curves in groups.items():
         style, colour = line_of[label]
-        length = min(map(len, curves))
-        x = curves[0][:length, 0]
-        y = y_scale * np.stack([curve[:length, 1] for curve in curves])
+        x, y = aligned(curves)
+        y *= y_scale
         axes.fill_between(x, y.min(0), y.max(0), color=colour, alpha=0.12, linewidth=0.0)
         axes.plot(x, y.mean(0), style, color=colour, linewidth=2.0, label=label)
     axes.set_ylim(bottom=0.0)
@@ -130,6 +129,23 @@ def save_spread(
         ncols=4,
     )
     write(axes, path)
+
+
+def aligned(
+    curves: Sequence[Float[np.ndarray, "_ 2"]],
+) -> tuple[Float[np.ndarray, " X"], Float[np.ndarray, "C X"]]:
+    """Reads curves at the same places: those of the one that ends first, within all of them.
+
+    Args:
+      curves: points (x, y), x growing.
+
+    Returns:
+      The places, and each curve's values there, straight between its points.
+    """
+    first = min(curves, key=lambda curve: curve[-1, 0])
+    begin = max(curve[0, 0] for curve in curves)
+    x = first[first[:, 0] >= begin, 0]
+    return x, np.stack([np.interp(x, curve[:, 0], curve[:, 1]) for curve in curves])
 
 
 def new_axes(x_label: str, y_label: str) -> matplotlib.axes.Axes:

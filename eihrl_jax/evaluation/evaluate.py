@@ -3,9 +3,7 @@
 import dataclasses
 import json
 import pathlib
-from collections.abc import Iterable
-
-import jax.numpy as jnp
+from collections.abc import Iterable, Sequence
 
 from eihrl_jax import base, config, mazes, raster, robots
 from eihrl_jax.config import evaluate as evaluate_config
@@ -25,7 +23,7 @@ class _Prepared:
 
     system: results.System
     robot: robot_lib.Robot
-    env: rollouts.Traced
+    runner: rollouts.Runner
     high_policy: rollouts.HighPolicy
 
 
@@ -39,24 +37,29 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
       What `eval.json` holds; `tables` turns its cells into tables.
 
     Raises:
-      base.UserError: the folder isn't empty; a maze, robot or policy is unknown or doesn't fit.
+      base.UserError: the folder isn't free; a maze, robot or policy is unknown or doesn't fit; two
+        systems would have the same name in the files.
     """
-    report.check_new(options.out)
+    with report.reserved(options.out):
+        return _evaluate(options)
+
+
+def _evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
+    """Does what `evaluate` does, in a folder that is there."""
     chosen = _load_mazes(options)
-    prepared = _prepare(options, mazes.stack(list(chosen.values())))
     plan = rollouts.Plan(
         mazes=chosen,
         seeds=options.seeds,
         num_episodes=options.episodes,
         num_recorded=0 if options.animate == "none" else NUM_RECORDED,
     )
-    options.out.mkdir(parents=True, exist_ok=True)
+    prepared = _prepare(options, plan)
     cells: list[results.Cell] = []
     seconds: dict[str, float] = {}
     for item in prepared:
         title = f"{item.system.robot}, {item.system.movement} movement, {item.system.high}"
         with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
-            found, taken = rollouts.run(item.env, item.high_policy, plan, progress)
+            found, taken = item.runner.run(item.high_policy, progress)
         cells += _summarise(item.system, found, chosen)
         seconds[report.file_name(item.system)] = round(taken, 2)
         report.write_episodes(options.out, item.system, found, chosen)
@@ -88,8 +91,9 @@ def _load_mazes(options: evaluate_config.EvaluateConfig) -> dict[str, mazes.Maze
     return chosen
 
 
-def _prepare(options: evaluate_config.EvaluateConfig, stacked: mazes.Maze) -> list[_Prepared]:
+def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> list[_Prepared]:
     """Loads all policies and builds all environments before anything runs."""
+    stacked = mazes.stack(list(plan.mazes.values()))
     peers = [name for name in options.high if baselines.is_baseline(name)]
     if peers and "full" not in options.movement:
         raise base.UserError(f"{peers[0]} is a baseline, which walks: it needs --movement full")
@@ -103,15 +107,19 @@ def _prepare(options: evaluate_config.EvaluateConfig, stacked: mazes.Maze) -> li
             low = None
             if movement == "full":
                 low = options.low[i] if options.low else name
-            # High levels that see the same share an environment.
+            # High levels that see the same share an environment; baselines need none.
             views = dict.fromkeys(high.view for high in highs)
-            envs = dict(zip(views, _envs(options, robot, low, stacked, views), strict=True))
+            made = _envs(options, robot, low, stacked, views) if views else []
+            runners = {
+                view: rollouts.Runner(env, plan) for view, env in zip(views, made, strict=True)
+            }
             for high in highs:
                 system = results.System(
                     robot=robot.name, movement=movement, high=high.label, low=low
                 )
-                prepared.append(_Prepared(system, robot, envs[high.view], high.policy))
-        prepared += [_prepare_peer(options, robot, peer, stacked) for peer in peers]
+                prepared.append(_Prepared(system, robot, runners[high.view], high.policy))
+        prepared += [_prepare_peer(options, robot, peer, plan, stacked) for peer in peers]
+    _check_names([item.system for item in prepared])
     return prepared
 
 
@@ -119,13 +127,28 @@ def _prepare_peer(
     options: evaluate_config.EvaluateConfig,
     robot: robot_lib.Robot,
     name: str,
+    plan: rollouts.Plan,
     stacked: mazes.Maze,
 ) -> _Prepared:
-    """Loads a baseline, which is both levels at once."""
+    """Loads a baseline: both levels at once, to which it is nothing what a high level chooses."""
     system = results.System(robot=robot.name, movement="full", high=name, low=None)
     engine = engine_lib.make(robot, options.engine)
     env = baselines.load(name, engine, stacked, reward=options.reward)
-    return _Prepared(system, robot, env, lambda obs, key: jnp.int32(0))
+    nobody = systems.load_high(evaluate_config.RANDOM)
+    return _Prepared(system, robot, rollouts.Runner(env, plan), nobody.policy)
+
+
+def _check_names(all_systems: Sequence[results.System]) -> None:
+    """Makes sure that no system's files take the place of another's."""
+    names: set[str] = set()
+    for system in all_systems:
+        name = report.file_name(system)
+        if name in names:
+            raise base.UserError(
+                f"high: files of two systems would have the same name, {name}, of {system.high!r} "
+                "and another; evaluate them one by one"
+            )
+        names.add(name)
 
 
 def _envs(

@@ -82,9 +82,14 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
       The statistics by surrounding.
 
     Raises:
-      base.UserError: the folder isn't empty; robot or policy is unknown or doesn't fit.
+      base.UserError: the folder isn't free; robot or policy is unknown or doesn't fit.
     """
-    report.check_new(options.out)
+    with report.reserved(options.out):
+        return _measure(options)
+
+
+def _measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statistics]:
+    """Does what `measure` does, in a folder that is there."""
     robot = robots.load(options.robot)
     policy = systems.load_low(options.low or options.robot, robot)
     engine = engine_lib.make(robot, options.engine)
@@ -105,7 +110,6 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
             if name == subgoals.OPEN:
                 first = steps
             bar.update(index + 1, {})
-    options.out.mkdir(parents=True, exist_ok=True)
     document = {name: vars(statistics) for name, statistics in found.items()}
     about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
     text = json.dumps(document | about | {"versions": versions.describe()}, indent=2)

@@ -10,9 +10,12 @@
 A system is called by its robot, movement and high level, e.g. `ant-full-random`.
 """
 
+import contextlib
 import csv
+import os
 import pathlib
 import re
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -20,6 +23,7 @@ from eihrl_jax import base, mazes
 from eihrl_jax.evaluation import animation, curves, heatmap, results, rollouts, tables
 from eihrl_jax.physics import kinematics, scene
 from eihrl_jax.robots import robot as robot_lib
+from eihrl_jax.training import run_folder
 
 _EPISODE_COLUMNS = (
     *("robot", "movement", "high", "low", "maze", "seed", "episode", "achieved", "goals"),
@@ -27,15 +31,30 @@ _EPISODE_COLUMNS = (
 )
 
 
-def check_new(out: pathlib.Path) -> None:
-    """Makes sure that nothing can be overwritten.
+@contextlib.contextmanager
+def reserved(out: pathlib.Path) -> Iterator[None]:
+    """Makes a folder and keeps other processes out of it, so that nothing can be overwritten.
+
+    A folder in which nothing has been written by the end is removed again.
 
     Raises:
-      base.UserError: `out` is a file, or a folder with something in it.
+      base.UserError: `out` is a file, or a folder with something in it, or being filled.
     """
-    if out.exists() and not out.is_dir():
-        raise base.UserError(f"out = {out} is not a folder")
-    if out.exists() and any(out.iterdir()):
+    _check_empty(out)
+    out.mkdir(parents=True, exist_ok=True)
+    lock = run_folder.take_lock(out)
+    try:
+        _check_empty(out)  # another may have filled it since
+        yield
+    finally:
+        (out / run_folder.LOCK).unlink()
+        os.close(lock)
+        if not any(out.iterdir()):
+            out.rmdir()
+
+
+def _check_empty(out: pathlib.Path) -> None:
+    if run_folder.holds_something(out):
         raise base.UserError(f"out = {out} is not empty; name a new or empty folder")
 
 

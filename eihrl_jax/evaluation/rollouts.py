@@ -27,7 +27,7 @@ MAX_ROWS = 1024
 """Most episodes that run at once."""
 
 HighPolicy = Callable[[Any, Key[Array, ""]], Int[Array, ""]]
-"""From the patch and a key to a direction."""
+"""From the patch and a key to a direction; a pytree (`jax.tree_util.Partial`) of its parameters."""
 
 
 @runtime_checkable
@@ -104,84 +104,111 @@ class Plan:
 
 @dataclasses.dataclass(frozen=True)
 class _Batch:
-    """Finished episodes that ran together, E of them in M mazes.
+    """Finished episodes that ran together, E of them.
 
     Attributes:
       rows: int [E, 3], seed, maze and number of each.
       columns: arrays [E] by field of `results.Episodes`.
-      count: int [M, rows, columns], in how many of them the torso was in each bin of the mazes.
       recordings: by row of the batch.
     """
 
     rows: Int[np.ndarray, "E 3"]
     columns: dict[str, np.ndarray]
-    count: Int[np.ndarray, "M rows columns"]
     recordings: dict[int, animation.Recording]
 
 
-def run(
-    env: Traced, high_policy: HighPolicy, plan: Plan, progress: progress_lib.Progress
-) -> tuple[dict[str, Rollout], float]:
-    """Runs the planned episodes.
+@dataclasses.dataclass(frozen=True)
+class _Programs:
+    """Compiled functions for batches of one size.
 
-    Args:
-      env: environment of the plan's mazes, in their order.
-      high_policy: chooses the directions.
-      plan: which episodes.
-      progress: is told the decisions spent; those that an episode did not need count as spent.
-
-    Returns:
-      What happened in each maze, and the seconds that it took, compiling left out.
+    Attributes:
+      reset: from environments' keys and mazes to first states.
+      decide: from high level, states, high levels' keys and the decision's number to the states
+        after it, and what was decided.
     """
-    rows = np.array(
-        [
-            (seed, maze, episode)
-            for seed in plan.seeds
-            for maze in range(len(plan.mazes))
-            for episode in range(plan.num_episodes)
-        ]
-    )
-    num_batches = math.ceil(len(rows) / MAX_ROWS)
-    # All batches have one size, so that nothing is compiled twice; the last may run on in vain.
-    size = math.ceil(len(rows) / num_batches)
-    runner = _Runner(env, high_policy, plan, progress)
-    with progress.compiling("episodes"):
-        runner.compile(size)
-    start = time.monotonic()
-    batches = [runner.run(rows[i : i + size], size) for i in range(0, len(rows), size)]
-    seconds = time.monotonic() - start
-    return {name: _rollout(batches, plan, i) for i, name in enumerate(plan.mazes)}, seconds
+
+    reset: Callable[..., Any]
+    decide: Callable[..., Any]
 
 
-class _Runner:
-    """Compiled functions of one system, and the loop around them."""
+class Runner:
+    """Runs the planned episodes in one environment, for one high level after another.
 
-    def __init__(
-        self, env: Traced, high_policy: HighPolicy, plan: Plan, progress: progress_lib.Progress
-    ):
+    High levels that differ in their parameters alone share what is compiled.
+    """
+
+    def __init__(self, env: Traced, plan: Plan):
+        """Compiles nothing yet.
+
+        Args:
+          env: environment of the plan's mazes, in their order.
+          plan: which episodes.
+        """
         self._env = env
-        self._high_policy = high_policy
         self._plan = plan
-        self._progress = progress
-        self._spent = 0
-        self._solved: list[np.ndarray] = []
+        self._rows = np.array(
+            [
+                (seed, maze, episode)
+                for seed in plan.seeds
+                for maze in range(len(plan.mazes))
+                for episode in range(plan.num_episodes)
+            ]
+        )
+        num_batches = math.ceil(len(self._rows) / MAX_ROWS)
+        # All batches have one size, so that nothing is compiled twice; the last may run on in vain.
+        self._size = math.ceil(len(self._rows) / num_batches)
+        self._compiled: dict[Any, _Programs] = {}
 
-    def compile(self, size: int) -> None:
-        """Compiles for batches of `size` episodes."""
-        keys = jax.vmap(jax.random.key)(jnp.zeros(size, jnp.uint32))
-        index = jnp.zeros(size, jnp.int32)
+    def run(
+        self, high_policy: HighPolicy, progress: progress_lib.Progress
+    ) -> tuple[dict[str, Rollout], float]:
+        """Runs the episodes.
+
+        Args:
+          high_policy: chooses the directions.
+          progress: is told the decisions spent; those that an episode did not need count as spent.
+
+        Returns:
+          What happened in each maze, and the seconds that it took, compiling left out.
+        """
+        rows, size, plan = self._rows, self._size, self._plan
+        loop = _Loop(self._env, plan, high_policy, self._programs(high_policy, progress), progress)
+        start = time.monotonic()
+        batches = [loop.run(rows[i : i + size], size) for i in range(0, len(rows), size)]
+        seconds = time.monotonic() - start
+        found = {
+            name: _rollout(batches, loop.visits[i], plan, i) for i, name in enumerate(plan.mazes)
+        }
+        return found, seconds
+
+    def _programs(self, high_policy: HighPolicy, progress: progress_lib.Progress) -> _Programs:
+        """Returns what is compiled for high levels like this one."""
+        leaves, structure = jax.tree.flatten(high_policy)
+        kind = (structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
+        if kind not in self._compiled:
+            with progress.compiling("episodes"):
+                self._compiled[kind] = self._compile(high_policy)
+        return self._compiled[kind]
+
+    def _compile(self, high_policy: HighPolicy) -> _Programs:
+        keys = jax.vmap(jax.random.key)(jnp.zeros(self._size, jnp.uint32))
+        index = jnp.zeros(self._size, jnp.int32)
         reset = jax.jit(jax.vmap(self._env.reset))
         states = jax.eval_shape(reset, keys, index)
-        self._reset = reset.lower(keys, index).compile()
-        self._decide = jax.jit(self._decide_all).lower(states, keys, jnp.int32(0)).compile()
+        decide = jax.jit(self._decide).lower(high_policy, states, keys, jnp.int32(0))
+        return _Programs(reset.lower(keys, index).compile(), decide.compile())
 
-    def _decide_all(
-        self, states: base.EnvState, keys: Key[Array, " E"], t: Int[Array, ""]
+    def _decide(
+        self,
+        high_policy: HighPolicy,
+        states: base.EnvState,
+        keys: Key[Array, " E"],
+        t: Int[Array, ""],
     ) -> tuple[base.EnvState, Step]:
         """Makes decision `t` of every episode that is not over."""
 
         def decide(state: base.EnvState, key: Key[Array, ""]) -> tuple[base.EnvState, Step]:
-            action = self._high_policy(state.obs, jax.random.fold_in(key, t))
+            action = high_policy(state.obs, jax.random.fold_in(key, t))
             following, trace = self._env.trace(state, action)
             is_over = state.terminated | state.truncated
             kept = jax.tree.map(lambda old, new: jnp.where(is_over, old, new), state, following)
@@ -189,12 +216,38 @@ class _Runner:
 
         return jax.vmap(decide)(states, keys)
 
+
+class _Loop:
+    """The loop around one high level's decisions.
+
+    Attributes:
+      visits: int [rows, columns] of each maze, in how many of its episodes the torso was in each
+        bin; a maze's own bins begin at the top left.
+    """
+
+    def __init__(
+        self,
+        env: Traced,
+        plan: Plan,
+        high_policy: HighPolicy,
+        programs: _Programs,
+        progress: progress_lib.Progress,
+    ):
+        self._env = env
+        self._plan = plan
+        self._high_policy = high_policy
+        self._programs = programs
+        self._progress = progress
+        self._spent = 0
+        self._solved: list[np.ndarray] = []
+        self.visits = np.zeros((len(plan.mazes), *_bins(env)), np.int32)
+
     def run(self, rows: Int[np.ndarray, "E 3"], size: int) -> _Batch:
         """Runs episodes to their ends, in a batch filled up to `size`."""
         padded = np.concatenate([rows, rows[:1].repeat(size - len(rows), 0)])
         env_keys, high_keys = _streams(padded, list(self._plan.mazes))
         index = jnp.asarray(padded[:, 1], jnp.int32)
-        states = self._reset(env_keys, index)
+        states = self._programs.reset(env_keys, index)
         limit = self._env.course.mazes.num_decisions[index][: len(rows)]
         is_recorded = (rows[:, 0] == self._plan.seeds[0]) & (rows[:, 2] < self._plan.num_recorded)
         recorded = np.flatnonzero(is_recorded)
@@ -202,7 +255,8 @@ class _Runner:
         was_there = np.zeros((len(rows), *_bins(self._env)), bool)
         is_over = np.zeros(len(rows), bool)
         while not is_over.all():
-            states, step = self._decide(states, high_keys, jnp.int32(len(history)))
+            t = jnp.int32(len(history))
+            states, step = self._programs.decide(self._high_policy, states, high_keys, t)
             _mark(was_there, step.trace)
             history.append(jax.tree.map(lambda leaf: np.asarray(leaf)[recorded], step))
             is_over = np.asarray(states.terminated | states.truncated)[: len(rows)]
@@ -214,9 +268,9 @@ class _Runner:
             row: _recording(self._env, self._plan, states, history, row, i)
             for i, row in enumerate(recorded.tolist())
         }
-        num_mazes = len(self._plan.mazes)
-        count = np.stack([was_there[rows[:, 1] == maze].sum(0) for maze in range(num_mazes)])
-        return _Batch(rows, columns, count, recordings)
+        for maze in np.unique(rows[:, 1]):
+            self.visits[maze] += was_there[rows[:, 1] == maze].sum(0, np.int32)
+        return _Batch(rows, columns, recordings)
 
     def _report(
         self, states: base.EnvState, limit: Int[Array, " E"], is_over: Bool[np.ndarray, " E"]
@@ -308,7 +362,9 @@ def _recording(
     )
 
 
-def _rollout(batches: list[_Batch], plan: Plan, maze: int) -> Rollout:
+def _rollout(
+    batches: list[_Batch], visits: Int[np.ndarray, "rows columns"], plan: Plan, maze: int
+) -> Rollout:
     """Collects the episodes of one maze from all batches."""
     rows = np.concatenate([batch.rows for batch in batches])
     is_here = rows[:, 1] == maze
@@ -317,8 +373,7 @@ def _rollout(batches: list[_Batch], plan: Plan, maze: int) -> Rollout:
         for name in batches[0].columns
     }
     num_rows, num_columns = list(plan.mazes.values())[maze].wall.shape
-    count = np.sum([batch.count[maze] for batch in batches], axis=0)
-    count = count[: num_rows * heatmap.BINS_PER_CELL, : num_columns * heatmap.BINS_PER_CELL]
+    count = visits[: num_rows * heatmap.BINS_PER_CELL, : num_columns * heatmap.BINS_PER_CELL]
     return Rollout(
         episodes=results.Episodes(**columns, seed=rows[is_here, 0]),
         share=count / is_here.sum(),

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from flax import linen as nn
 from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base, config, mazes, policies, postures, raster
@@ -87,7 +88,7 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
       base.UserError: there is none, or it is damaged.
     """
     if name == evaluate_config.RANDOM:
-        return HighLevel(name, _random_direction, raster.View())
+        return HighLevel(name, jax.tree_util.Partial(_random_direction), raster.View())
     path = policies.find(name, "high")
     params, meta = policies.load(path, kind="high")
     view = raster.View(**checked.entry(meta, "view", path))
@@ -95,11 +96,24 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
     network = actor_critic.make(config.from_json(high_config.Network, sizes, source=str(path)))
     obs = jnp.zeros(view.obs_shape, bool)
     checked.shapes(params, jax.eval_shape(network.init, jax.random.key(0), obs), path)
-
-    def policy(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
-        return peg_a2c.act(network, params, obs, key, deterministic=greedy)
-
+    policy = jax.tree_util.Partial(_Learned(network, greedy), params)
     return HighLevel(name, policy, view)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Learned:
+    """Chooses as a network does; equal where networks are, whatever their parameters.
+
+    Attributes:
+      network: the actor-critic.
+      greedy: take the most likely direction instead of a sample.
+    """
+
+    network: nn.Module
+    greedy: bool
+
+    def __call__(self, params: Any, obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
+        return peg_a2c.act(self.network, params, obs, key, deterministic=self.greedy)
 
 
 def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:

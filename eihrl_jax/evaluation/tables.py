@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -121,19 +122,21 @@ def _table1(cells: Sequence[results.Cell]) -> list[Table]:
 
 def over_runs(
     cells: Sequence[results.Cell],
-) -> dict[tuple[str, str, str], statistics.RunSpread]:
-    """Summarises learned high levels over training runs, by maze, robot and movement.
+) -> dict[tuple[str, str, str, str], statistics.RunSpread]:
+    """Summarises learned high levels over training runs, by name, maze, robot and movement.
 
     Args:
-      cells: results of high levels that were trained alike from different seeds.
+      cells: results of systems; high levels whose names differ by a number at the end alone, such
+        as `best-u-0` and `best-u-1`, are taken as trained alike from different seeds.
 
     Returns:
-      One entry for each maze, robot and movement in which two or more high levels were evaluated.
+      One entry wherever two or more runs were evaluated, their name ending in `*`.
     """
-    groups: dict[tuple[str, str, str], list[float]] = {}
+    groups: dict[tuple[str, str, str, str], list[float]] = {}
     for cell in cells:
         if cell.system.high != RANDOM:
-            key = (cell.maze, cell.system.robot, cell.system.movement)
+            name = re.sub(r"\d+$", "*", cell.system.high)
+            key = (name, cell.maze, cell.system.robot, cell.system.movement)
             groups.setdefault(key, []).append(cell.success.rate)
     return {
         key: statistics.over_runs(np.array(rates))
@@ -145,14 +148,10 @@ def over_runs(
 def _over_runs(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns the table of `over_runs`, if there is one."""
     rows = [
-        [
-            *key,
-            spread(over),
-            f"[{100 * over.low:.1f}, {100 * over.high:.1f}]",
-        ]
+        [*key, spread(over), f"[{100 * over.low:.1f}, {100 * over.high:.1f}]"]
         for key, over in over_runs(cells).items()
     ]
-    header = ["maze", "robot", "movement", "mean ± std, %", "95 % of the mean"]
+    header = ["high level", "maze", "robot", "movement", "mean ± std, %", "95 % of the mean"]
     return [Table("Success over training runs", header, rows)] if rows else []
 
 

@@ -65,23 +65,25 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
       The gaps, oracle movement first.
 
     Raises:
-      base.UserError: the folder isn't empty; a maze has several goals; a policy or maze is unknown.
+      base.UserError: the folder isn't free; a maze has several goals; a policy or maze is unknown.
     """
-    report.check_new(options.out)
+    with report.reserved(options.out):
+        return _compare(options)
+
+
+def _compare(options: gap_config.ValueGapConfig) -> list[Gap]:
+    """Does what `compare` does, in a folder that is there."""
     chosen = {name: mazes.load(name) for name in options.mazes}
     for name, maze in chosen.items():
         if int(maze.num_goals) != 1:
             raise base.UserError(f"mazes: {name!r} has {int(maze.num_goals)} goals, must have 1")
     high = systems.load_high(options.high)
     stacked = mazes.stack(list(chosen.values()))
+    walkers = {name: (_walking(stacked, high, name), shipped_law(name)) for name in options.robots}
 
     def move(sigma: float) -> dict[str, Float[np.ndarray, "2 E"]]:
         env = _oracle(stacked, high, sigma)
         return _values(options, env, high, chosen, options.episodes, f"oracle, sigma {sigma:g}")
-
-    def walk(name: str) -> dict[str, Float[np.ndarray, "2 E"]]:
-        env = _walking(stacked, high, name)
-        return _values(options, env, high, chosen, options.walking_episodes, f"{name}, walking")
 
     reference = _oracle_law(options.reference)
     baseline = move(options.reference)
@@ -91,9 +93,10 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
         # Without noise the law is a point, which no density comes near.
         delta = displacement.total_variation(_oracle_law(sigma), reference) if sigma else 1.0
         gaps += _gaps(options, chosen, "oracle", sigma, baseline, found, delta)
-    for name in options.robots:
-        found = walk(name)
-        delta = displacement.total_variation(shipped_law(name), reference)
+    for name, (env, law) in walkers.items():
+        title = f"{name}, walking"
+        found = _values(options, env, high, chosen, options.walking_episodes, title)
+        delta = displacement.total_variation(law, reference)
         gaps += _gaps(options, chosen, name, None, baseline, found, delta)
     _write(options, chosen, gaps)
     return gaps
@@ -141,7 +144,7 @@ def _values(
     """Returns success and discounted success of every episode, by maze."""
     plan = rollouts.Plan(mazes=chosen, seeds=(options.seed,), num_episodes=num_episodes)
     with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
-        found, _ = rollouts.run(env, high.policy, plan, progress)
+        found, _ = rollouts.Runner(env, plan).run(high.policy, progress)
     values = {}
     for name, rollout in found.items():
         success = (np.asarray(rollout.episodes.achieved) > 0).astype(float)
@@ -191,7 +194,6 @@ def _write(
     options: gap_config.ValueGapConfig, chosen: dict[str, mazes.Maze], gaps: list[Gap]
 ) -> None:
     """Writes numbers, table and picture."""
-    options.out.mkdir(parents=True, exist_ok=True)
     about = {"reference": options.reference, "gamma": options.gamma}
     document = about | {"gaps": [vars(gap) for gap in gaps], "versions": versions.describe()}
     (options.out / "gap.json").write_text(json.dumps(document, indent=2) + "\n")

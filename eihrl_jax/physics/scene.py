@@ -114,9 +114,15 @@ def _check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
         raise base.UserError(f"{what}: it has no actuator")
     if not model.actuator_ctrllimited.all() or (model.actuator_ctrlrange != [-1.0, 1.0]).any():
         raise base.UserError(f"{what}: every actuator's ctrlrange must be -1 1")
+    if model.na:
+        raise base.UserError(f"{what}: its actuators must have no state, so no dyntype")
+    if model.nmocap != robot.num_walls:
+        raise base.UserError(f"{what}: it must have no mocap body of its own")
     _check_geoms(model, what)
     if not model.nkey:
         raise base.UserError(f"{what}: it has no keyframe, the posture in which episodes start")
+    if robot.root == "free" and model.key_qpos[0, 4:6].any():
+        raise base.UserError(f"{what}: its keyframe must be upright, turned about z alone")
     if robot.symmetry is not None:
         num_joints = model.njnt - len(joints)
         for name, size in (("joints", num_joints), ("controls", model.nu)):

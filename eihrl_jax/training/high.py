@@ -18,7 +18,7 @@ from eihrl_jax.training import metrics as metrics_lib
 from eihrl_jax.training import parallel, run_folder, subgoals, versions
 from eihrl_jax.training import progress as progress_lib
 
-MAY_CHANGE = ("coordinator", "num_processes", "process_id")
+MAY_CHANGE = ("num_devices", "coordinator", "num_processes", "process_id")
 """Options that may differ between the processes of a run, and when it goes on."""
 
 EVALUATION_STREAM = 1
@@ -120,19 +120,19 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
       base.UserError: the window is longer than an episode, or there are more decisions than can be
         counted.
     """
-    limit = int(env.course.mazes.num_decisions.min())
+    limits = env.course.mazes.num_decisions
     window = config.learner.window
     trained_in: base.Environment = env
     if window is not None:
         # A longer window could be cut by the time limit twice.
-        checks.in_range("window", window, 1, limit)
+        checks.in_range("window", window, 1, int(limits.min()))
         trained_in = wrappers.auto_reset(env, env.observe)
     network, learner = actor_critic.make(config.network), config.learner
     if config.task.reward == "dense":
         # What is paid until the limit depends on the time left, which nobody sees: values that end
         # there are noise, and with it the Random Square was learned to 40 % where it is to 97 %.
         learner = dataclasses.replace(learner, looks_beyond_limit=True)
-    agent = peg_a2c.PegA2C(trained_in, network, learner, window or limit)
+    agent = peg_a2c.PegA2C(trained_in, network, learner, window or int(limits.max()))
     most = (2**31 - 1) // decisions_per_update(agent)  # Decisions are counted in 32 bits.
     checks.in_range("num_updates", config.learner.num_updates, 1, most)
     return agent

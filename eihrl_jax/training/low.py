@@ -240,10 +240,8 @@ def train(config: low_config.LowConfig) -> None:
       base.UserError: an option or the run folder is not as it should be.
     """
     trainer = LowTrainer(config)
-    if config.start_from is not None and not checkpoint.is_any(
-        config.start_from / run_folder.CHECKPOINTS
-    ):
-        raise base.UserError(f"start_from = {config.start_from} holds no checkpoint")
+    if not checkpoint.is_any(config.run / run_folder.CHECKPOINTS):
+        _check_start(config)
     with run_folder.RunFolder.create(
         config.run, config, resume=config.resume, may_change={"num_iterations"}
     ) as run:
@@ -284,15 +282,22 @@ def train(config: low_config.LowConfig) -> None:
         _finish(trainer, run, state, measure_key, posture_key)
 
 
+def _check_start(config: low_config.LowConfig) -> None:
+    """Makes sure that the run with which this one begins, if any, has a state to begin with."""
+    start = config.start_from
+    if start is not None and not checkpoint.is_any(start / run_folder.CHECKPOINTS):
+        raise base.UserError(f"start_from = {start} holds no checkpoint")
+
+
 def _start_from(path: pathlib.Path, fresh: LowState) -> LowState:
-    """Returns the last state of another run, with the random numbers of this one.
+    """Returns learner and memory of another run's last state, all else being this one's.
 
     Raises:
       base.UserError: its checkpoint is damaged, or of another structure.
     """
     found = checkpoint.restore(path / run_folder.CHECKPOINTS, fresh)
     assert found is not None  # `train` has looked
-    return found[1].replace(key=fresh.key, iteration=fresh.iteration)
+    return fresh.replace(learner=found[1].learner, memory=found[1].memory)
 
 
 def _compile(

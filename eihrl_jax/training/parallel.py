@@ -30,7 +30,9 @@ SPECS = peg_a2c.LearnerState(
 
 def use_cpu_cores() -> None:
     """Makes every core of the CPU a device; only entry points call it, before any computation."""
-    jax.config.update("jax_num_cpu_devices", len(os.sched_getaffinity(0)))
+    # Not every system tells which of its cores are this process's.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    jax.config.update("jax_num_cpu_devices", cores or 1)
 
 
 def connect(

@@ -1,6 +1,6 @@
 """The folder of one training run: what was run, with what, how it went, and how to go on.
 
-    config.json     the options, as `config.to_json` writes them
+    config.json     the options of the last start, as `config.to_json` writes them
     versions.json   one entry per start: packages, Python, machine, commit
     metrics.csv     one row per `log`, one column per metric
     tensorboard/    the same numbers as events
@@ -28,7 +28,9 @@ from eihrl_jax.training import checkpoint, versions
 CHECKPOINTS = "checkpoints"
 """Name of the folder of a run's checkpoints."""
 
-_LOCK = ".lock"
+LOCK = ".lock"
+"""Name of the file by which a process keeps others out of its folder."""
+
 _CONFIG = "config.json"
 _METRICS = "metrics.csv"
 _TEMPORARY = ".incomplete-"
@@ -73,16 +75,15 @@ class RunFolder:
         """
         if jax.process_index() != 0:
             return cls(path, None)  # The first process looks after the folder for all.
-        holds_something = check_free(path, resume=resume)
-        if holds_something and not (path / _CONFIG).is_file():
+        is_taken = check_free(path, resume=resume)
+        if is_taken and not (path / _CONFIG).is_file():
             raise base.UserError(f"{path} holds no run to resume: it has no {_CONFIG}")
         text = config.to_json(options)
-        if holds_something:
+        if is_taken:
             _check_same_options(path / _CONFIG, options, {"run", "resume", *may_change})
         path.mkdir(parents=True, exist_ok=True)
-        run = cls(path, _take_lock(path))
-        if not holds_something:
-            _write_whole(path / _CONFIG, text)
+        run = cls(path, take_lock(path))
+        _write_whole(path / _CONFIG, text)
         starts = _read_starts(path / "versions.json")
         _write_whole(path / "versions.json", json.dumps([*starts, versions.describe()], indent=2))
         return run
@@ -163,13 +164,13 @@ def check_free(path: pathlib.Path, *, resume: bool) -> bool:
     Raises:
       UserError: it holds something and `resume` is false, or it is no folder.
     """
-    holds_something = _holds_something(path)
-    if holds_something and not resume:
+    is_taken = holds_something(path)
+    if is_taken and not resume:
         raise base.UserError(f"{path} exists already: go on with --resume or name another --run")
-    return holds_something
+    return is_taken
 
 
-def _holds_something(path: pathlib.Path) -> bool:
+def holds_something(path: pathlib.Path) -> bool:
     """Tells whether a folder has more in it than what a killed start leaves.
 
     Raises:
@@ -178,9 +179,9 @@ def _holds_something(path: pathlib.Path) -> bool:
     if not path.exists():
         return False
     if not path.is_dir():
-        raise base.UserError(f"{path} is a file, not a folder for a run")
+        raise base.UserError(f"{path} is a file, not a folder")
     names = [entry.name for entry in path.iterdir()]
-    return any(name != _LOCK and not name.startswith(_TEMPORARY) for name in names)
+    return any(name != LOCK and not name.startswith(_TEMPORARY) for name in names)
 
 
 def _check_same_options(file: pathlib.Path, options: Any, may_change: Collection[str]) -> None:
@@ -209,9 +210,9 @@ def _differences(new: Any, old: Any, name: str) -> list[tuple[str, Any, Any]]:
     return [difference for part in parts for difference in part]
 
 
-def _take_lock(path: pathlib.Path) -> int:
+def take_lock(path: pathlib.Path) -> int:
     """Locks the folder for as long as this process lives; a kill gives the lock back."""
-    descriptor = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    descriptor = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

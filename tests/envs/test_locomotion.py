@@ -214,6 +214,12 @@ def test_broken_simulation_ends_the_episode_and_poisons_nothing(ant_engine):
     assert float(after.reward) == 0.0
 
 
+def test_controls_that_are_no_numbers_count_as_a_breakdown(point_engine):
+    env = _env(point_engine)
+    after = env.step(env.reset(jax.random.key(0)), jnp.full(2, jnp.nan))
+    assert bool(after.terminated) and float(after.metrics["broke_down"]) == 1.0
+
+
 def test_time_limit_truncates_and_episodes_differ(point_engine):
     env = wrappers.AutoReset(_env(point_engine))
     states = _drive(env, lambda state: state.obs.direction, 60)

@@ -138,6 +138,13 @@ def test_dense_reward_is_that_of_the_lowest_unvisited_goal():
     assert task.dense_reward(course, nav.replace(visited=jnp.arange(9) < 3), xy) == 1.0
 
 
+def test_after_nine_goals_the_last_one_stays_the_current():
+    course = task.prepare(mazes.parse("############\n#S123456789#\n############\n"))
+    for num_visited, column in ((0, 2), (8, 10), (9, 10)):
+        nav = at(course, visited=jnp.arange(9) < num_visited)
+        np.testing.assert_array_equal(task.current_goal_xy(course, nav), centre(1, column))
+
+
 def test_the_dense_task_goes_on_after_the_last_goal_and_pays_in_full():
     course = task.prepare(mazes.load("u", num_decisions=2))
     nav, outcome = task.advance(course, at(course), centre(1, 1)[None])

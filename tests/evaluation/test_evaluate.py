@@ -1,6 +1,7 @@
 import csv
 import dataclasses
 import json
+import shutil
 
 import jax
 import jax.numpy as jnp
@@ -133,7 +134,7 @@ def random_walk(num_episodes, *, seeds=(0,), num_recorded=0):
     )
     high = systems.load_high("random")
     with progress.Progress("walk", plan.num_decisions) as bar:
-        return rollouts.run(env, high.policy, plan, bar)[0]["random"]
+        return rollouts.Runner(env, plan).run(high.policy, bar)[0]["random"]
 
 
 def test_random_walk_succeeds_as_often_as_on_the_grid():
@@ -162,6 +163,35 @@ def test_batches_change_nothing(monkeypatch):
     np.testing.assert_array_equal(together.recordings[1].qpos, apart.recordings[1].qpos)
 
 
+def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, monkeypatch):
+    robot, chosen = robots.load("point"), {"u": mazes.load("u", num_decisions=2)}
+    high = systems.load_high(str(folder / "high"))
+    walking = subgoals.walking(robot, None, 3.0, 0.0)
+    env = systems.oracle(robot, mazes.stack(list(chosen.values())), high.view, walking=walking)
+    plan = rollouts.Plan(mazes=chosen, seeds=(0,), num_episodes=3, num_recorded=1)
+    runner = rollouts.Runner(env, plan)
+    compiled = []
+    original = rollouts.Runner._compile
+    monkeypatch.setattr(
+        rollouts.Runner, "_compile", lambda *args: compiled.append(1) or original(*args)
+    )
+
+    def directions(policy):
+        with progress.Progress("walk", plan.num_decisions) as bar:
+            found, _ = runner.run(policy, bar)
+        return found["u"].recordings[0].direction.tolist()
+
+    (params,) = high.policy.args
+    for direction in range(4):
+        bias = params["params"]["logits"]["bias"].at[direction].set(1e6)
+        layers = params["params"] | {"logits": params["params"]["logits"] | {"bias": bias}}
+        policy = jax.tree_util.Partial(high.policy.func, {"params": layers})
+        assert directions(policy) == [direction] * 2
+    assert len(compiled) == 1
+    directions(systems.load_high(str(folder / "high"), greedy=True).policy)
+    assert len(compiled) == 2
+
+
 def test_only_running_episodes_leave_traces():
     rollout = random_walk(40, num_recorded=40)
     count = np.zeros(rollout.share.shape)
@@ -188,6 +218,8 @@ def test_only_running_episodes_leave_traces():
         ({"num_decisions": 0}, "num_decisions = 0"),
         ({"reward": "fat"}, "reward = 'fat' must be one of sparse, dense"),
         ({"low": ("a", "b")}, "low names 2 policies for 1 robots"),
+        ({"low": ("a",), "movement": ("oracle",)}, "low = a is of full movement"),
+        ({"sigma": 0.2, "movement": ("full",)}, "sigma = 0.2 is of oracle movement"),
     ],
 )
 def test_options_out_of_range_are_refused(change, message):
@@ -210,6 +242,29 @@ def test_unknown_things_are_refused_before_anything_is_written(options, tmp_path
     with pytest.raises(base.UserError, match=message):
         evaluate.evaluate(changed)
     assert not changed.out.exists()
+
+
+def test_systems_whose_files_would_have_the_same_name_are_refused(options, folder, tmp_path):
+    shutil.copytree(folder / "high", tmp_path / "other" / "high")
+    both = (str(folder / "high"), str(tmp_path / "other" / "high"))
+    changed = dataclasses.replace(options, out=tmp_path / "out", high=both)
+    with pytest.raises(base.UserError, match="the same name, point-oracle-high"):
+        evaluate.evaluate(changed)
+
+
+def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path):
+    out = tmp_path / "deep" / "out"
+    with report.reserved(out):
+        with pytest.raises(base.UserError, match="being written to by another process"):
+            with report.reserved(out):
+                pass
+    assert not out.exists()  # nothing was written
+    with report.reserved(out):
+        (out / "eval.json").touch()
+    assert [file.name for file in out.iterdir()] == ["eval.json"]
+    with pytest.raises(base.UserError, match="not empty"):
+        with report.reserved(out):
+            pass
 
 
 def test_policies_that_do_not_fit_are_refused(folder):

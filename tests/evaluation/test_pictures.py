@@ -217,6 +217,16 @@ def test_groups_of_curves_are_drawn_as_far_as_the_shortest_goes(tmp_path):
     assert opened(path).shape[1] > 500
 
 
+def test_curves_are_compared_at_the_same_places_and_no_farther():
+    line = np.array([[0.0, 0.0], [10.0, 10.0], [20.0, 20.0]])
+    other = np.array([[5.0, 1.0], [15.0, 3.0]])
+    x, y = curves.aligned([line, other])
+    np.testing.assert_array_equal(x, [5.0, 15.0])
+    np.testing.assert_array_equal(y, [[5.0, 15.0], [1.0, 3.0]])
+    x, y = curves.aligned([line, line + np.array([0.0, 1.0])])
+    np.testing.assert_array_equal(y, [line[:, 1], line[:, 1] + 1.0])
+
+
 def test_a_label_keeps_its_line_in_pictures_that_are_seen_together(tmp_path):
     rising = np.stack([np.arange(1.0, 9.0), np.arange(8.0)], -1)
     has = {}

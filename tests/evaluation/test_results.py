@@ -98,8 +98,10 @@ def test_runs_trained_alike_are_summarised_together():
         cell("g2", dataclasses.replace(ANT, high=f"runs/{i}"), achieved)
         for i, achieved in enumerate([(1, 1), (1, 0), (0, 0)])
     ]
-    cells.append(cell("g2", dataclasses.replace(ANT, high="random"), (0, 0)))
-    spread = tables.over_runs(cells)["g2", "ant", "full"]
+    others = ("random", "runs/higl", "other/0")
+    cells += [cell("g2", dataclasses.replace(ANT, high=high), (0, 0)) for high in others]
+    ((key, spread),) = tables.over_runs(cells).items()
+    assert key == ("runs/*", "g2", "ant", "full")
     assert (spread.mean, spread.std) == (0.5, 0.5)
     assert "50.0 ± 50.0" in tables.markdown(cells)
 

@@ -224,6 +224,8 @@ def test_a_robot_of_ones_own_moves_and_meets_walls():
         ("<site", '<body><joint type="ball"/><geom size="0.1"/></body><site', True, "hinges and"),
         ('type="hinge"', 'type="slide"', True, "aren't those of root 'planar'"),
         ('<key name="stand" qpos="0 0 0"/>', "", True, "it has no keyframe"),
+        ('<motor name="push"', '<general dyntype="filter" name="push"', True, "have no state"),
+        ("</worldbody>", '<body mocap="true"/></worldbody>', True, "no mocap body of its own"),
     ],
 )
 def test_what_is_wrong_with_a_description_is_said(tmp_path, old, new, in_xml, message):
@@ -231,6 +233,17 @@ def test_what_is_wrong_with_a_description_is_said(tmp_path, old, new, in_xml, me
     with pytest.raises(base.UserError, match=re.escape(message)) as error:
         scene.build(robots.load(path))
     assert "\n" not in str(error.value) and "robot" in str(error.value)
+
+
+def test_a_free_root_must_stand_upright(tmp_path):
+    ant = robots.load("ant")
+    lying = tmp_path / "ant.xml"
+    text = ant.mjcf.read_text()
+    assert 'qpos="0 0 0.75 1 0 0 0' in text
+    text = text.replace('qpos="0 0 0.75 1 0 0 0', 'qpos="0 0 0.75 1 1 0 0')
+    lying.write_text(text)
+    with pytest.raises(base.UserError, match="its keyframe must be upright"):
+        scene.build(dataclasses.replace(ant, mjcf=lying))
 
 
 def test_a_missing_description_is_named():

@@ -96,6 +96,18 @@ def test_learner_that_does_not_fit_the_maze(tmp_path, options, message):
         high.make_agent(high.make_env(config.task), dataclasses.replace(config, learner=learner))
 
 
+def test_whole_episodes_last_as_long_as_the_largest_room_allows(tmp_path):
+    config = tiny(tmp_path)
+    task = dataclasses.replace(config.task, num_rooms=6)
+    learner = dataclasses.replace(config.learner, window=None)
+    env = high.make_env(task)
+    limits = env.course.mazes.num_decisions
+    assert limits.min() < limits.max()
+    assert (
+        high.make_agent(env, dataclasses.replace(config, learner=learner)).horizon == limits.max()
+    )
+
+
 @pytest.mark.parametrize("reward", ["sparse", "dense"])
 def test_values_look_beyond_the_limit_where_the_reward_is_dense(tmp_path, reward):
     config = tiny(tmp_path)
@@ -117,6 +129,7 @@ def test_values_look_beyond_the_limit_where_the_reward_is_dense(tmp_path, reward
             {"room_sides": (7, 6)},
             "room_sides = 7 must be at least 2 and at most 6",
         ),
+        (high_config.Task, {"maze": "u", "num_rooms": 9}, "num_rooms = 9 exclude each other"),
         (high_config.HighConfig, {"log_every": 7}, "log_every = 7 must divide num_updates"),
         (high_config.HighConfig, {"network": high_config.Network(tile=4)}, "tile = 4 must divide"),
         (

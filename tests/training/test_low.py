@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import jax
 import numpy as np
@@ -65,9 +66,16 @@ def test_resuming_changes_nothing(whole_run, tmp_path):
 
 
 def test_starting_from_another_run_goes_on_learning(whole_run, tmp_path):
-    """Under another reward: the learner's count and the memory go on, the iterations begin anew."""
+    """Under another reward: the learner's count and the memory go on, the iterations begin anew.
+
+    Once begun, the run goes on without the other.
+    """
     reward = low_config.LowReward(is_paced=True, beyond_cell=-1.0)
-    config = _config(tmp_path / "second", start_from=whole_run.run, reward=reward)
+    start = shutil.copytree(whole_run.run, tmp_path / "start")
+    config = _config(tmp_path / "second", start_from=start, reward=reward, num_iterations=6)
+    low.train(config)
+    shutil.rmtree(start)
+    config = dataclasses.replace(config, num_iterations=12, resume=True)
     low.train(config)
     template = jax.eval_shape(low.LowTrainer(config).init, jax.random.key(0))
     step, state = checkpoint.restore(config.run / "checkpoints", template)
@@ -104,6 +112,10 @@ def test_presets_build(preset):
         ({"capacity": 100}, "num_envs = 8 must divide capacity = 100"),
         ({"log_every": 5}, "log_every = 5 must divide num_iterations = 12"),
         ({"robot": "dog"}, "robot 'dog' is unknown"),
+        (
+            {"reward": low_config.LowReward(fall_cost=2.0), "ends_at_fall": False},
+            "fall_cost = 2.0 .* must be 0",
+        ),
     ],
 )
 def test_bad_options_are_named(tmp_path, change, message):

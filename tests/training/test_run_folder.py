@@ -113,6 +113,18 @@ def test_resume_with_other_options_names_them(tmp_path, options, message):
         create(tmp_path / "run", resume=True, **options)
 
 
+def test_config_is_that_of_the_last_start(tmp_path):
+    options = Config()
+    for resume, learning_rate in ((False, options.learning_rate), (True, 0.5)):
+        run_folder.RunFolder.create(
+            tmp_path / "run",
+            Config(learning_rate=learning_rate),
+            resume=resume,
+            may_change={"learning_rate"},
+        ).close()
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["learning_rate"] == 0.5
+
+
 def test_second_process_is_kept_out(tmp_path):
     with create(tmp_path / "run"):
         with pytest.raises(base.UserError, match="being written to by another process"):
