@@ -7,18 +7,19 @@ steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run 
 
 import json
 import pathlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal
-
-import jax
-import numpy as np
 
 from eihrl_jax import base
 from eihrl_jax.training import checkpoint
 
 Kind = Literal["high", "low", "baseline"]
 
-_NOUNS = {"high": "high-level policy", "low": "low-level policy", "baseline": "baseline"}
+_NOUNS: dict[Kind, str] = {
+    "high": "high-level policy",
+    "low": "low-level policy",
+    "baseline": "baseline",
+}
 
 PRETRAINED = pathlib.Path(__file__).parent / "pretrained"
 """Folder of the shipped policies."""
@@ -87,10 +88,10 @@ def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
     Raises:
       UserError: there is none.
     """
+    found = _first(name, (kind,))
+    if found is not None:
+        return found
     path = pathlib.Path(name)
-    for candidate in (path, path / FOLDER, PRETRAINED / name / kind):
-        if checkpoint.is_complete(candidate):
-            return candidate
     if (path / "config.json").is_file():
         raise base.UserError(f"{path} holds no final policy yet: its training isn't finished")
     raise base.UserError(
@@ -105,23 +106,18 @@ def kind_of(name: str | pathlib.Path) -> Kind | None:
     Raises:
       UserError: it holds a damaged one.
     """
+    found = _first(name, _NOUNS)
+    return None if found is None else json.loads(checkpoint.read_file(found, "meta.json"))["kind"]
+
+
+def _first(name: str | pathlib.Path, kinds: Iterable[Kind]) -> pathlib.Path | None:
+    """Returns the first complete policy's folder among the places that `name` may mean."""
     path = pathlib.Path(name)
-    for candidate in (path, path / FOLDER, *(PRETRAINED / name / kind for kind in _NOUNS)):
-        if checkpoint.is_complete(candidate):
-            return json.loads(checkpoint.read_file(candidate, "meta.json"))["kind"]
-    return None
+    places = (path, path / FOLDER, *(PRETRAINED / name / kind for kind in kinds))
+    return next((place for place in places if checkpoint.is_complete(place)), None)
 
 
 def shipped(kind: Kind) -> list[str]:
     """Names of the shipped policies of one level."""
     folders = sorted(PRETRAINED.glob(f"*/{kind}"))
     return [folder.parent.name for folder in folders if checkpoint.is_complete(folder)]
-
-
-def num_params(params: Any) -> int:
-    """Number of parameters.
-
-    >>> num_params({"bias": np.zeros(3), "kernel": np.zeros((2, 3))})
-    9
-    """
-    return sum(np.size(leaf) for leaf in jax.tree.leaves(params))

@@ -24,7 +24,7 @@ Part = Literal[
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BenchmarkConfig:
-    """Measures speed and success, and writes benchmark.json and benchmark.md.
+    """Measures speeds, and how far the engines part, and writes benchmark.json and benchmark.md.
 
     Run it on a machine that does nothing else; the figures stand beside the machine's name.
 

@@ -28,7 +28,7 @@ class ReportConfig:
       slow_episodes: the same where swimmer or humanoid walk.
       num_rooms: generated rooms, one episode in each.
       ablations: folders of `ablate_high`, whose results are shown as they are.
-      peers: folder of runs of `train_baseline`, `<method>-<maze>[-dense]-<seed>` each, whose
+      peers: folder of runs of `compare_peers`, `<method>-<maze>[-dense]-<seed>` each, whose
         learning is shown beside that of preset `best`.
       out: folder of the results.
     """

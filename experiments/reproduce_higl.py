@@ -9,6 +9,7 @@ from eihrl_jax.baselines import system
 from eihrl_jax.config import checks
 from eihrl_jax.config import higl as higl_config
 from eihrl_jax.envs import u_maze
+from eihrl_jax.evaluation import curves
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.training import baselines
 from experiments import _cli
@@ -20,8 +21,8 @@ class ReproduceConfig:
 
     Goals are drawn anywhere in training, and the far end of the U is what is evaluated, 500 control
     steps, within 2.5 units. Published after a million steps, sparse: HIGL 65.1 %, HRAC 17.6 %.
-    metrics.csv holds `eval/success` of 50 episodes every 10,000 steps (published: 5 every 5,000);
-    ten robots walk at the same time, and walls are a cell high.
+    metrics.csv holds `eval/success` of 50 episodes every 10,000 steps (published: 5 every 5,000),
+    learning_curve.png draws it; ten robots walk at the same time, and walls are a cell high.
 
     Attributes:
       method: higl, hrac or hiro.
@@ -73,6 +74,19 @@ def main(config: ReproduceConfig) -> None:
     learner = system.make(env, engine.model.nu, env.side_xy, u_maze.EPISODE_STEPS, options)
     title = f"{config.method} in HIGL's U"
     baselines.train_in(baselines.Arena(title, test_env, env.side_xy, learner), options)
+    draw(config.run)
+
+
+def draw(run: pathlib.Path) -> None:
+    """Draws a run's evaluations, and their moving average, into its folder."""
+    curves.save(
+        run / "learning_curve.png",
+        {"evaluation": curves.read(run / "metrics.csv", "step", "eval/success")},
+        x_label="control steps",
+        y_label="success at the far end, %",
+        y_scale=100.0,
+        y_range=(0.0, 100.0),
+    )
 
 
 if __name__ == "__main__":

@@ -13,7 +13,11 @@ MODULES = sorted(
     for file in (ROOT / "eihrl_jax").rglob("*.py")
     if ">>>" in file.read_text()
 )
-DOCUMENTS = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("*.md"))
+DOCUMENTS = sorted(
+    path.relative_to(ROOT).as_posix()
+    for pattern in ("*.md", "docs/**/*.md", "eihrl_jax/**/*.md")
+    for path in ROOT.glob(pattern)
+)
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -28,7 +32,9 @@ def test_links_lead_somewhere(name):
     text = (ROOT / name).read_text()
     for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
         is_elsewhere = target.startswith(("http://", "https://", "mailto:"))
-        assert is_elsewhere or (ROOT / target).exists(), f"{name}: {target} is not there"
+        assert is_elsewhere or (ROOT / name).parent.joinpath(target).exists(), (
+            f"{name}: {target} is not there"
+        )
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)

@@ -77,7 +77,3 @@ def test_unfinished_run_is_told(tmp_path):
     (tmp_path / "config.json").write_text("{}")
     with pytest.raises(base.UserError, match="training isn't finished"):
         policies.find(tmp_path, "high")
-
-
-def test_parameters_are_counted():
-    assert policies.num_params(PARAMS) == 16

@@ -16,7 +16,6 @@ from eihrl_jax import base, config
 from eihrl_jax.evaluation import statistics
 
 FORMAT = 1
-MOVEMENTS = ("oracle", "full")
 OUTCOMES = ("solved", "fallen", "unstable", "late")
 """How an episode ends: all goals achieved; else the robot had fallen; else its simulation broke
 down; else it was upright when the last decision was spent."""

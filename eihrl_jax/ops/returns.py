@@ -1,7 +1,6 @@
 """Returns of one trajectory, from the last step backwards (paper, Algorithm 1, lines 12 to 14)."""
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
@@ -26,6 +25,9 @@ def lambda_returns(
       step standing for the G_{t+1} that is missing.
 
     Source: Sutton and Barto, Reinforcement Learning (2018), Eq. 12.18, with state values.
+    Differs from the paper (Algorithm 1, lines 12 to 14), whose returns are those of lambda_t = 1
+      without a value: its R starts as the last reward and then takes that reward again in the
+      first pass of the loop; here every reward counts once.
     """
 
     def step(following, inputs):
@@ -35,22 +37,3 @@ def lambda_returns(
 
     _, returns = jax.lax.scan(step, v_t[-1], (r_t, discount_t, v_t, lambda_t), reverse=True)
     return returns
-
-
-def discounted_returns(
-    r_t: Float[Array, " T"], discount_t: Float[Array, " T"]
-) -> Float[Array, " T"]:
-    """Computes the discounted sum of the rewards from each step on, without bootstrap.
-
-    Args:
-      r_t: reward that the step led to, unitless.
-      discount_t: in [0, 1], gamma * (1 - terminated).
-
-    Returns:
-      R_t = r_t + discount_t * R_{t+1}, with 0 after the last step.
-
-    Source: paper, Algorithm 1, lines 12 to 14.
-    Differs from the paper: its R starts as the last reward and then takes that reward again in
-      the first pass of the loop; here every reward counts once.
-    """
-    return lambda_returns(r_t, discount_t, jnp.zeros_like(r_t), jnp.ones_like(r_t))

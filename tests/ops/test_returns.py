@@ -40,17 +40,22 @@ def test_lambda_returns_follow_the_loop_eager_compiled_and_batched(length):
     np.testing.assert_allclose(jax.vmap(returns.lambda_returns)(*batch), expected, rtol=1e-5)
 
 
-def test_discounted_returns_sum_powers_of_the_discount():
+def discounted(reward, discount):
+    """Returns without a value, those of the paper."""
+    return returns.lambda_returns(reward, discount, jnp.zeros(len(reward)), jnp.ones(len(reward)))
+
+
+def test_returns_without_a_value_sum_powers_of_the_discount():
     reward, *_ = trajectory(0, 7)
     expected = [sum(0.9**n * r for n, r in enumerate(reward[t:])) for t in range(7)]
-    actual = returns.discounted_returns(jnp.asarray(reward), jnp.full(7, 0.9))
+    actual = discounted(jnp.asarray(reward), jnp.full(7, 0.9))
     np.testing.assert_allclose(actual, expected, rtol=1e-5)
 
 
 def test_nothing_flows_back_over_a_terminal_step():
     reward = jnp.array([0.0, 1.0, 5.0])
     discount = jnp.array([0.5, 0.0, 0.5])
-    np.testing.assert_allclose(returns.discounted_returns(reward, discount), [0.5, 1.0, 5.0])
+    np.testing.assert_allclose(discounted(reward, discount), [0.5, 1.0, 5.0])
 
 
 def test_a_time_limit_is_replaced_by_its_value():
