@@ -4,8 +4,6 @@ import dataclasses
 import itertools
 import pathlib
 
-import rich.console
-
 from eihrl_jax import base, presets
 from eihrl_jax.config import checks
 from eihrl_jax.config import evaluate as evaluate_config
@@ -39,7 +37,6 @@ class DemoConfig:
 
 def main(config: DemoConfig) -> None:
     """Trains, evaluates, prints Table 1 and where the pictures are."""
-    console = rich.console.Console(highlight=False)
     run = _new_folder(config.run)
     trained = run / "high"
     high.train(dataclasses.replace(presets.high_best(), run=trained, seed=config.seed))
@@ -52,12 +49,10 @@ def main(config: DemoConfig) -> None:
             out=run / "evaluation",
         )
     )
-    for table in tables.terminal(evaluation.cells):
-        console.print()
-        console.print(table)
-    console.print("\nPictures:")
+    tables.show(tables.terminal(evaluation.cells))
+    print("\nPictures:")
     for picture in sorted((*run.rglob("*.png"), *run.rglob("*.gif"))):
-        console.print(f"  {picture}", markup=False)
+        print(f"  {picture}")
 
 
 def _new_folder(wanted: pathlib.Path | None) -> pathlib.Path:

@@ -10,12 +10,9 @@ from experiments import _cli
 def main(options: evaluate_config.EvaluateConfig) -> None:
     """Evaluates, and prints the tables."""
     evaluation = evaluate.evaluate(options)
-    console = rich.console.Console()
-    for table in tables.terminal(evaluation.cells):
-        console.print()
-        console.print(table)
-    console.print(tables.NOTE, style="dim")
-    console.print(f"written to {options.out}", markup=False)
+    tables.show(tables.terminal(evaluation.cells))
+    rich.console.Console().print(tables.NOTE, style="dim")
+    print(f"written to {options.out}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,5 @@
 """Measures a low level: `python -m experiments.measure_low --robot ant --low runs/ant`."""
 
-import rich.console
-
 from eihrl_jax.config import measure as measure_config
 from eihrl_jax.evaluation import measure, tables
 from experiments import _cli
@@ -10,9 +8,8 @@ from experiments import _cli
 def main(options: measure_config.MeasureConfig) -> None:
     """Measures, and prints the table."""
     found = measure.measure(options)
-    console = rich.console.Console()
-    console.print(tables.of_subgoals(found, options.robot))
-    console.print(f"written to {options.out}", markup=False)
+    tables.show([tables.of_subgoals(found, options.robot)])
+    print(f"written to {options.out}")
 
 
 if __name__ == "__main__":

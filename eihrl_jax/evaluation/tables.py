@@ -3,10 +3,12 @@
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 import rich.box
+import rich.console
+import rich.measure
 import rich.table
 
 from eihrl_jax.config.evaluate import RANDOM
@@ -22,6 +24,7 @@ NOTE = (
 )
 """What the numbers of the tables are."""
 
+_ANY_WIDTH = 10_000
 _MOVEMENT_NAMES = {"oracle": "oracle movement", "full": "walking"}
 
 
@@ -179,6 +182,17 @@ def _shown(table: Table) -> rich.table.Table:
     for row in table.rows:
         shown.add_row(*row, style="dim" if row[0].startswith("  ") else None)
     return shown
+
+
+def show(shown: Iterable[rich.table.Table]) -> None:
+    """Prints tables, each as wide as it is: nothing is cut where the terminal is narrower."""
+    for table in shown:
+        console = rich.console.Console(highlight=False)
+        options = console.options.update(max_width=_ANY_WIDTH)
+        width = rich.measure.Measurement.get(console, options, table).maximum
+        console.width = max(console.width, width)
+        console.print()
+        console.print(table)
 
 
 def markdown(cells: Sequence[results.Cell]) -> str:

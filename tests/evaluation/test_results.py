@@ -106,6 +106,16 @@ def test_runs_trained_alike_are_summarised_together():
     assert "50.0 ± 50.0" in tables.markdown(cells)
 
 
+def test_tables_are_printed_whole_where_the_terminal_is_narrow(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    names = [f"runs/of-a-name-that-is-longer-than-forty-columns/seed-{i}" for i in range(2)]
+    cells = [cell("g1", dataclasses.replace(ANT, high=name)) for name in names]
+    tables.show(tables.terminal(cells))
+    printed = capsys.readouterr().out
+    assert names[0][:-1] + "*" in printed
+    assert "95 % of the mean" in printed and "…" not in printed
+
+
 def test_terminal_shows_the_same_tables():
     shown = tables.terminal([cell("g1")])
     assert [table.title for table in shown] == [
