@@ -2,11 +2,14 @@
 
 import dataclasses
 import pathlib
-from typing import Literal
+from typing import Literal, get_args
 
 from eihrl_jax import base
 from eihrl_jax.config import checks
 from eihrl_jax.config import low as low_config
+
+Goals = Literal["own", "anywhere"]
+"""Where goals lie in training, see `BaselineConfig`."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -21,6 +24,9 @@ class BaselineConfig:
       maze: name of a maze or path of a maze file.
       reward: sparse pays 1 per goal region, dense 1 / (1 + distance) per control step (paper, D).
       num_decisions: time limit in our subgoals; none: the maze's own (paper, Table 3 over 25).
+      goals: where they lie in training: own: where the maze has them; anywhere: in each episode in
+        another cell that can be reached, as in the released training of HIRO, HRAC and HIGL.
+        Evaluations are always of the maze's own.
       robot: that walks.
       engine: "mujoco" for the C engine on the processor, "mjx" for JAX on an accelerator.
       num_envs: robots that walk at the same time.
@@ -39,6 +45,7 @@ class BaselineConfig:
     maze: str = "random"
     reward: base.Reward = "sparse"
     num_decisions: int | None = None
+    goals: Goals = "own"
     robot: str = "ant"
     engine: Literal["mujoco", "mjx"] = "mujoco"
     num_envs: int = 10
@@ -86,6 +93,7 @@ def check_arena(config: BaselineConfig) -> None:
     """Checks the ranges of what all baselines share."""
     checks.in_range("seed", config.seed, 0, 2**32 - 1)
     checks.one_of("reward", config.reward, base.REWARDS)
+    checks.one_of("goals", config.goals, get_args(Goals))
     checks.one_of("engine", config.engine, ("mujoco", "mjx"))
     if config.num_decisions is not None:
         checks.in_range("num_decisions", config.num_decisions, 1, 10_000)

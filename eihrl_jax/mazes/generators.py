@@ -1,12 +1,14 @@
 """Random rooms of any size with inner walls and several door candidates, always solvable.
 
 Straight pieces of wall are thrown into an empty room; what they cut off from its largest part is
-filled with wall, so that every start leads to every door.
+filled with wall, so that every start leads to every door. Also any maze with its goal elsewhere.
 """
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
+from eihrl_jax import base
 from eihrl_jax.config import checks
 from eihrl_jax.mazes import parsing, paths
 from eihrl_jax.mazes.maze import Maze
@@ -19,6 +21,9 @@ MAX_LENGTH = 6
 
 FIRST_SEED = 2**32
 """Lowest seed of the rooms that high levels train in: those below are for tests."""
+
+MAX_PLACES = 1_000
+"""Most places of a maze whose goal is moved: each of them becomes a maze of its own."""
 
 MAX_WALL_SHARE = 0.4
 """Largest share of inner wall: above it too little of a room hangs together."""
@@ -107,6 +112,49 @@ def training_rooms(
         )
         for index in range(num)
     ]
+
+
+def goals_anywhere(maze: Maze) -> Maze:
+    """Returns a maze many times over, each time with another of its places as the only goal.
+
+    Learners that are told their goal can be trained in these and tested in the maze itself.
+
+    Args:
+      maze: one maze.
+
+    Returns:
+      Mazes with a leading axis, one per cell or door that can be reached from a start, other doors
+      being shut and the goal's own cell no start; a place that would leave no start is left out.
+
+    Raises:
+      base.UserError: there are more than `MAX_PLACES` such places.
+
+    Source: the training of HIRO, HRAC and HIGL, whose goals are drawn all over the maze (Nachum et
+      al. 2018).
+    """
+    door, start = np.asarray(maze.door), np.asarray(maze.start)
+    wall = np.asarray(maze.wall) | door
+    places = paths.cells(paths.distances(~wall, paths.cells(start)) >= 0)
+    if len(places) > MAX_PLACES:
+        raise base.UserError(
+            f"goals anywhere: the maze has {len(places)} places, must be at most {MAX_PLACES}"
+        )
+    variants = []
+    for cell in [*places, *paths.cells(door)]:
+        goal = np.zeros(wall.shape, bool)
+        goal[cell] = True
+        is_reached = paths.distances(~wall | goal, paths.cells(start & ~goal))[cell] >= 0
+        if is_reached:
+            variants.append(
+                maze.replace(
+                    wall=jnp.asarray(wall & ~goal),
+                    goal=jnp.asarray(goal, jnp.int32),
+                    start=jnp.asarray(start & ~goal),
+                    door=jnp.zeros_like(maze.door),
+                    num_goals=jnp.int32(1),
+                )
+            )
+    return parsing.stack(variants)
 
 
 def _thrown_walls(

@@ -12,6 +12,7 @@ from eihrl_jax import base, mazes, policies, robots
 from eihrl_jax.baselines import system as system_lib
 from eihrl_jax.config import baselines as config_lib
 from eihrl_jax.envs import goal_maze, wrappers
+from eihrl_jax.mazes import generators
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.training import metrics as metrics_lib
 from eihrl_jax.training import progress as progress_lib
@@ -45,8 +46,12 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
     engine = engine_lib.make(robot, config.engine)
     maze = mazes.load(config.maze, num_decisions=config.num_decisions)
     env = goal_maze.GoalMaze(engine, maze, reward=config.reward)
-    is_flat = isinstance(config, config_lib.FlatConfig)
-    trained_in = wrappers.auto_reset(env) if is_flat else env
+    trained_in: base.Environment = env
+    if config.goals == "anywhere":
+        mazes_in = generators.goals_anywhere(maze)
+        trained_in = goal_maze.GoalMaze(engine, mazes_in, reward=config.reward)
+    if isinstance(config, config_lib.FlatConfig):
+        trained_in = wrappers.auto_reset(trained_in)
     steps = int(env.course.mazes.num_decisions.max())
     system = system_lib.make(trained_in, engine.model.nu, env.side_xy, steps, config)
     return Arena(f"{config.method} in {config.maze}", env, env.side_xy, system)

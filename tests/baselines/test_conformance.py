@@ -147,6 +147,19 @@ def test_a_baseline_is_evaluated_beside_ours(finished, maze, tmp_path):
     assert list((tmp_path / "evaluation").glob("*.gif"))
 
 
+@pytest.mark.parametrize(("goals", "expected"), [("own", {1.5}), ("anywhere", {1.5, 4.5, 7.5})])
+def test_goals_may_lie_anywhere_in_training_but_not_in_evaluations(tmp_path, goals, expected):
+    path = tmp_path / "corridor.txt"
+    path.write_text("#####\n#1SS#\n#####\n")
+    options = {"goals": goals, "num_envs": 40, "robot": "point"}
+    arena = baselines.make_arena(config_of("droq", str(path), tmp_path / "run", **options))
+    keys = jax.random.split(jax.random.key(0), 40)
+    evaluated = jax.vmap(arena.env.reset)(keys)
+    trained = arena.system.init(jax.random.key(0)).envs
+    for envs, found in ((evaluated, {1.5}), (trained, expected)):
+        assert set((envs.obs.goal_xy[:, 0] - 3.0).tolist()) == found
+
+
 def test_a_baseline_needs_its_robot_and_walking(finished, maze, tmp_path):
     options = evaluate_config.EvaluateConfig(
         mazes=(maze,), high=(str(finished.run),), episodes=1, out=tmp_path / "new"

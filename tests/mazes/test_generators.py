@@ -17,6 +17,29 @@ def test_every_door_can_be_reached_from_every_start(seed):
     assert all(1 <= paths.legs(maze, starts[-1], door)[0] <= rows * columns for door in doors)
 
 
+def test_goals_lie_at_every_place_that_can_be_reached_and_starts_elsewhere():
+    maze = parsing.parse("######\n#SS..#\n#D##.#\n#..###\n######\n")
+    variants = generators.goals_anywhere(maze)
+    goals = [paths.cells(np.asarray(goal) > 0) for goal in variants.goal]
+    # Not beyond the door, which is opened where it is the goal.
+    assert goals == [[(1, 1)], [(1, 2)], [(1, 3)], [(1, 4)], [(2, 4)], [(2, 1)]]
+    starts = [paths.cells(np.asarray(start)) for start in variants.start]
+    assert starts == [[(1, 2)], [(1, 1)], *[[(1, 1), (1, 2)]] * 4]
+    assert not (np.asarray(variants.wall) & (np.asarray(variants.goal) > 0)).any()
+    assert np.asarray(variants.wall)[:5, 2, 1].all() and not np.asarray(variants.door).any()
+
+
+def test_a_single_start_is_no_goal():
+    variants = generators.goals_anywhere(parsing.parse("#####\n#S.1#\n#####\n"))
+    assert [paths.cells(np.asarray(goal) > 0) for goal in variants.goal] == [[(1, 2)], [(1, 3)]]
+
+
+def test_goals_anywhere_need_a_maze_of_moderate_size():
+    room = "\n".join(["#" * 35, *["#" + "S" * 33 + "#"] * 32, "#" + "S" * 32 + "1#", "#" * 35])
+    with pytest.raises(base.UserError, match="1089 places, must be at most 1000"):
+        generators.goals_anywhere(parsing.parse(room))
+
+
 def test_rooms_have_inner_walls_of_about_the_share_asked_for():
     def share(wall_share: float) -> float:
         rooms = [generators.random_room(s, 20, 20, wall_share=wall_share) for s in range(10)]
