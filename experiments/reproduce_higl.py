@@ -9,7 +9,7 @@ from eihrl_jax.baselines import system
 from eihrl_jax.config import checks
 from eihrl_jax.config import higl as higl_config
 from eihrl_jax.envs import u_maze
-from eihrl_jax.evaluation import curves
+from eihrl_jax.evaluation import report
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.training import baselines
 from experiments import _cli
@@ -74,18 +74,12 @@ def main(config: ReproduceConfig) -> None:
     learner = system.make(env, engine.model.nu, env.side_xy, u_maze.EPISODE_STEPS, options)
     title = f"{config.method} in HIGL's U"
     baselines.train_in(baselines.Arena(title, test_env, env.side_xy, learner), options)
-    draw(config.run)
-
-
-def draw(run: pathlib.Path) -> None:
-    """Draws a run's evaluations, and their moving average, into its folder."""
-    curves.save(
-        run / "learning_curve.png",
-        {"evaluation": curves.read(run / "metrics.csv", "step", "eval/success")},
+    report.draw_learning_curve(
+        config.run,
+        {"evaluation": "eval/success"},
+        x="step",
         x_label="control steps",
         y_label="success at the far end, %",
-        y_scale=100.0,
-        y_range=(0.0, 100.0),
     )
 
 

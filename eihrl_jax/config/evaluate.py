@@ -84,9 +84,8 @@ class EvaluateConfig:
 
     def _check_movement(self) -> None:
         """Checks that options of one way of moving don't come without it."""
-        moves = {"step": base.CELL, "sigma": 0.3, "measured": None}
-        for name, default in moves.items():
-            value = getattr(self, name)
+        for name in ("step", "sigma", "measured"):
+            value, default = getattr(self, name), getattr(type(self), name)
             if value != default and "oracle" not in self.movement:
                 raise base.UserError(f"{name} = {value} is of oracle movement, not evaluated here")
         if self.low and "full" not in self.movement:

@@ -11,9 +11,6 @@ from typing import Literal
 from eihrl_jax import base
 from eihrl_jax.config import checks
 
-DEFAULT_MAZE = "random"
-"""Where a high level is trained if nothing else is asked for (paper, Sec. 4.3)."""
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Task:
@@ -40,7 +37,7 @@ class Task:
       room_walls: greatest share of inner wall in such a room.
     """
 
-    maze: str = DEFAULT_MAZE
+    maze: str = "random"
     num_decisions: int | None = None
     robot: str = "ant"
     reward: base.Reward = "sparse"
@@ -68,7 +65,7 @@ class Task:
             checks.in_range("num_postures", self.num_postures, 1, 1_000_000)
         checks.in_range("map_radius", self.map_radius, 0, 32)
         checks.in_range("num_rooms", self.num_rooms, 0, 100_000)
-        if self.num_rooms and self.maze != DEFAULT_MAZE:
+        if self.num_rooms and self.maze != type(self).maze:
             raise base.UserError(
                 f"maze = {self.maze!r} and num_rooms = {self.num_rooms} exclude each other: "
                 "training is in one maze, or in random rooms"

@@ -15,7 +15,7 @@ import csv
 import os
 import pathlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -29,6 +29,8 @@ _EPISODE_COLUMNS = (
     *("robot", "movement", "high", "low", "maze", "seed", "episode", "achieved", "goals"),
     *("return", "decisions", "fell", "outcome"),
 )
+
+_HIGH_CURVES = {"workers in training": "success", "evaluation": "eval/success"}
 
 
 @contextlib.contextmanager
@@ -146,26 +148,36 @@ def typical(rollout: rollouts.Rollout) -> animation.Recording:
     return rollout.recordings[best[np.argsort(lengths, kind="stable")[len(best) // 2]]]
 
 
-def draw_learning_curve(run: pathlib.Path) -> pathlib.Path:
-    """Draws success against decisions of a run of `train_high` into its folder.
+def draw_learning_curve(
+    run: pathlib.Path,
+    columns: Mapping[str, str] = _HIGH_CURVES,
+    *,
+    x: str = "num_decisions",
+    x_label: str = "decisions",
+    y_label: str = "success, %",
+) -> pathlib.Path:
+    """Draws success while a run learned into its folder, of `train_high` unless told otherwise.
+
+    Args:
+      run: its folder.
+      columns: columns of its metrics, by label.
+      x: the column against which they are drawn.
+      x_label: what that is.
+      y_label: what they are.
 
     Returns:
       The picture's path.
 
     Raises:
-      base.UserError: the folder has no metrics.
+      base.UserError: the folder has no such metrics.
     """
     metrics = run / "metrics.csv"
-    shown = {
-        "workers in training": curves.read(metrics, "num_decisions", "success"),
-        "evaluation": curves.read(metrics, "num_decisions", "eval/success"),
-    }
     path = run / "learning_curve.png"
     curves.save(
         path,
-        shown,
-        x_label="decisions",
-        y_label="success, %",
+        {label: curves.read(metrics, x, column) for label, column in columns.items()},
+        x_label=x_label,
+        y_label=y_label,
         y_scale=100.0,
         y_range=(0.0, 100.0),
     )

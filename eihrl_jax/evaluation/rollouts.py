@@ -157,6 +157,7 @@ class Runner:
         num_batches = math.ceil(len(self._rows) / MAX_ROWS)
         # All batches have one size, so that nothing is compiled twice; the last may run on in vain.
         self._size = math.ceil(len(self._rows) / num_batches)
+        self._reset: Callable[..., Any] | None = None
         self._compiled: dict[Any, _Programs] = {}
 
     def run(
@@ -194,9 +195,11 @@ class Runner:
         keys = jax.vmap(jax.random.key)(jnp.zeros(self._size, jnp.uint32))
         index = jnp.zeros(self._size, jnp.int32)
         reset = jax.jit(jax.vmap(self._env.reset))
+        if self._reset is None:  # the same whoever chooses
+            self._reset = reset.lower(keys, index).compile()
         states = jax.eval_shape(reset, keys, index)
         decide = jax.jit(self._decide).lower(high_policy, states, keys, jnp.int32(0))
-        return _Programs(reset.lower(keys, index).compile(), decide.compile())
+        return _Programs(self._reset, decide.compile())
 
     def _decide(
         self,
