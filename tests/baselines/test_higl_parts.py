@@ -182,7 +182,7 @@ def test_many_goals_are_planned_for_as_each_alone():
     pool = jax.random.uniform(jax.random.key(1), (40, 2), maxval=20.0)
     graph = planner.graph(controller, pool, novelty.Novelty(2, options).init(jax.random.key(0)))
     goals = jax.random.uniform(jax.random.key(2), (40, 2), maxval=20.0)
-    all_at_once = planner.plan(controller, graph, pool, goals)  # more than are told apart
+    all_at_once = planner.plan(controller, graph, pool, goals)
     for some in (slice(0, 20), slice(20, 40)):
         found = planner.plan(controller, graph, pool[some], goals[some])
         np.testing.assert_allclose(found, all_at_once[some])

@@ -6,15 +6,12 @@ Kim et al. 2021, Landmark-guided subgoal generation in hierarchical reinforcemen
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from eihrl_jax.baselines import td3
 from eihrl_jax.baselines.higl import novelty
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.ops import landmarks as ops
-
-_FEW = 32
-"""Distinct goals up to which each is measured only once; a maze's doors are fewer."""
 
 
 class Graph(struct.PyTreeNode):
@@ -102,23 +99,26 @@ class Planner:
     def _ways(
         self, controller: td3.Td3State, graph: Graph, goal_xy: Float[Array, "B 2"]
     ) -> Float[Array, "B L"]:
-        """Returns the value of the best way from each landmark to each goal."""
+        """Returns the value of the best way from each landmark to each goal.
 
-        def measure(goal_xy: Float[Array, "G 2"]) -> Float[Array, "G L"]:
-            targets = jnp.broadcast_to(goal_xy[None], (graph.obs.shape[0], *goal_xy.shape))
+        Each distinct goal is measured once: a batch holds a maze's few doors again and again.
+        """
+        num_landmarks = graph.obs.shape[0]
+        goals, index, counts = jnp.unique(
+            goal_xy, axis=0, size=goal_xy.shape[0], return_inverse=True, return_counts=True
+        )
+
+        def measure(number: Int[Array, ""], ways: Float[Array, "B L"]) -> Float[Array, "B L"]:
+            targets = jnp.broadcast_to(goals[number], (num_landmarks, 1, 2))
             values = self._values(controller, graph.obs, targets)
             values = jnp.where(graph.is_valid[:, None], values, ops.UNREACHABLE)
             edges = ops.cut_edges(values, self._options.cutoff)
-            return ops.soft_join(graph.paths, edges, self._options.heat).T
+            joined = ops.soft_join(graph.paths, edges, self._options.heat)
+            return ways.at[number].set(joined[:, 0])
 
-        goals, index, counts = jnp.unique(
-            goal_xy, axis=0, size=_FEW, return_inverse=True, return_counts=True
-        )
-        return jax.lax.cond(
-            counts.sum() == goal_xy.shape[0],
-            lambda: measure(goals)[index],
-            lambda: measure(goal_xy),
-        )
+        num_goals = (counts > 0).sum(dtype=jnp.int32)
+        nothing = jnp.zeros((goal_xy.shape[0], num_landmarks))
+        return jax.lax.fori_loop(0, num_goals, measure, nothing)[index]
 
     def _values(
         self,
