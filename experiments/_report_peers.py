@@ -28,6 +28,12 @@ RAND_H = "RAND-H"
 
 LONG = "ours, oracle, long"
 
+_MEASURES: dict[base.Reward, tuple[str, ...]] = {
+    "sparse": ("success",),
+    "dense": ("reward", "success"),
+}
+_UNITS = {"success": ("success, %", 100.0), "reward": ("reward per step", 1.0)}
+
 _STYLES = ("ours, walking", "ours, oracle", "flat DroQ", "HIGL", "HESS", RAND_H, LONG)
 """Order in which lines are given to labels: those of one colour belong together."""
 
@@ -37,7 +43,7 @@ Curve = Float[np.ndarray, "N 2"]
 def section(
     long: Callable[[str], list[pathlib.Path]], peers: pathlib.Path | None, out: pathlib.Path
 ) -> page.Section:
-    """Draws success, or with dense reward its mean per step, against episodes and control steps.
+    """Draws success, and dense reward's mean per step, against episodes and control steps.
 
     Args:
       long: finds the metrics of our high levels trained alike, e.g. "best-u" or "best-u-dense".
@@ -92,17 +98,15 @@ def _pictures(
 ) -> list[page.Picture]:
     """Draws a task against both axes; nothing where no method has learned it."""
     task = _runs.task(maze, reward)
-    y, label, scale = ("success", "success, %", 100.0)
-    if reward == "dense":
-        y, label, scale = ("reward", "reward per step", 1.0)
     pictures = []
-    for axis, read in _AXES.items():
+    for y, (axis, read) in itertools.product(_MEASURES[reward], _AXES.items()):
         drawn = _at_equal_budgets(peers, task, y, read)
         if not drawn:
             break
         if files := long(f"best-{task}"):
             drawn[LONG] = [read(file, f"eval/{y}") for file in files]
-        path = out / f"peers-{task}-{axis.replace(' ', '-')}.png"
+        label, scale = _UNITS[y]
+        path = out / f"peers-{task}-{y}-{axis.replace(' ', '-')}.png"
         out.mkdir(parents=True, exist_ok=True)
         curves.save_spread(
             path,
@@ -113,7 +117,7 @@ def _pictures(
             has_log_x=True,
             labels=_STYLES,
         )
-        text = f"{maze}, {reward} reward, against {axis}: mean and range over seeds."
+        text = f"{maze}, {reward} reward: {y} against {axis}, mean and range over seeds."
         pictures.append(page.Picture(path, text))
     return pictures
 

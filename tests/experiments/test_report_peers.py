@@ -97,10 +97,12 @@ def test_ours_has_a_line_walking_and_one_moved_by_the_oracle(folders):
 def test_every_task_that_a_peer_learned_has_its_pictures(folders):
     section = _report_peers.section(ours(folders), folders / "peers", folders / "out")
     assert [picture.path.name for picture in section.pictures] == [
-        "peers-u-episodes.png",
-        "peers-u-control-steps.png",
-        "peers-u-dense-episodes.png",
-        "peers-u-dense-control-steps.png",
+        "peers-u-success-episodes.png",
+        "peers-u-success-control-steps.png",
+        "peers-u-dense-reward-episodes.png",
+        "peers-u-dense-reward-control-steps.png",
+        "peers-u-dense-success-episodes.png",
+        "peers-u-dense-success-control-steps.png",
     ]
     assert all(picture.path.stat().st_size > 10_000 for picture in section.pictures)
     sparse, dense = section.tables
