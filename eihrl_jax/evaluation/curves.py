@@ -16,6 +16,9 @@ from eihrl_jax import base
 from eihrl_jax.evaluation import palette
 
 _DPI = 160
+_LINES = tuple(itertools.product(("-", "--", ":"), palette.CURVE))
+_MARKERS = "os^DvPX"
+_NUM_MARKERS = 3
 
 
 def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
@@ -98,6 +101,8 @@ def save_spread(
 ) -> None:
     """Draws the mean of each group of curves and its range over the group, as PNG.
 
+    Each has markers of its own, at places of their own, so that curves upon each other all show.
+
     Args:
       path: where the picture goes.
       groups: curves by label; those of a group are compared where all of them are, see `aligned`.
@@ -111,15 +116,25 @@ def save_spread(
     if has_log_x:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=" "))
-    lines = itertools.cycle(itertools.product(("-", "--", ":"), palette.CURVE))
-    line_of = dict(zip(dict.fromkeys([*labels, *groups]), lines, strict=False))
+    all_labels = list(dict.fromkeys([*labels, *groups]))
     for label, curves in groups.items():
-        style, colour = line_of[label]
+        i = all_labels.index(label)
+        style, colour = _LINES[i % len(_LINES)]
         x, y = aligned(curves)
         y *= y_scale
         axes.fill_between(x, y.min(0), y.max(0), color=colour, alpha=0.12, linewidth=0.0)
-        axes.plot(x, y.mean(0), style, color=colour, linewidth=2.0, label=label)
-    axes.set_ylim(bottom=0.0)
+        step = -(-len(x) // _NUM_MARKERS)
+        axes.plot(
+            x,
+            y.mean(0),
+            style,
+            color=colour,
+            linewidth=2.0,
+            marker=_MARKERS[i % len(_MARKERS)],
+            markevery=(i * step // len(all_labels), step),
+            label=label,
+        )
+    axes.set_ylim(bottom=-0.02 * axes.get_ylim()[1])  # where zero is seen as well
     axes.legend(  # above the axes, where no curve goes
         frameon=False,
         labelcolor=palette.INK,

@@ -238,10 +238,22 @@ def test_a_label_keeps_its_line_in_pictures_that_are_seen_together(tmp_path):
         wanted = [tuple(bytes.fromhex(colour[1:])) for colour in palette.CURVE[:3]]
         has[name] = [colour in pixels for colour in wanted]
     assert has == {
-        "both": [True, True, False],  # the second hides the first but in the legend
+        "both": [True, True, False],
         "one": [True, False, False],
         "other": [False, True, False],
     }
+
+
+def test_curves_upon_each_other_all_show_at_zero_too(tmp_path):
+    nothing = np.stack([np.arange(1.0, 9.0), np.zeros(8)], -1)
+    path = tmp_path / "nothing.png"
+    groups = {"one": [nothing], "other": [nothing], "third": [nothing]}
+    curves.save_spread(path, groups, x_label="x", y_label="y")
+    picture = opened(path)
+    below_legend = picture[len(picture) // 5 :]
+    for colour in palette.CURVE[:3]:
+        drawn = (below_legend == tuple(bytes.fromhex(colour[1:]))).all(-1)
+        assert drawn.sum() > 100
 
 
 def test_learning_curve_of_a_run(tmp_path):
