@@ -115,6 +115,8 @@ class Landmarks:
       first_step: control steps of all environments before which there is no landmark.
       cutoff: least value of an edge; HIGL's -38, made for cells of 4 units.
       near: value of a goal that is near enough to be followed itself.
+      num_first: nearest landmarks, among which the first one to go to is chosen; those farther off
+        lie beyond the cutoff as a rule, and the released code looks at all of them.
       heat: inverse temperature of the softmax that stands for the best path.
       rounds: of doubling the paths' lengths; 6 lead over up to 64 landmarks. Each loses some value
         to the softmax, and the 20 of the released code as much as a way of some cells.
@@ -129,6 +131,7 @@ class Landmarks:
     first_step: int = 60_000
     cutoff: float = -38.0
     near: float = -10.0
+    num_first: int = 24
     heat: float = 0.9
     rounds: int = 6
 
@@ -144,6 +147,7 @@ class Landmarks:
         checks.in_range("first_step", self.first_step, 0, 2**31 - 1)
         checks.in_range("cutoff", self.cutoff, high=0.0)
         checks.in_range("near", self.near, high=0.0)
+        checks.in_range("num_first", self.num_first, 1, 2_000)
         checks.in_range("heat", self.heat, above=0.0)
         checks.in_range("rounds", self.rounds, 1, 100)
 

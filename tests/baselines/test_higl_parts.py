@@ -155,20 +155,28 @@ class Walker:
         return jnp.stack([-length, -length + 1.0])
 
 
+CONTROLLER = learning.td3.Td3State(*[None] * 6)
+
+
+def lead(planner, graph, obs, goal_xy):
+    """Returns where to go from each place on the way to its goal."""
+    ways = planner.ways(CONTROLLER, graph, goal_xy)
+    return planner.plan(CONTROLLER, graph, obs, goal_xy, ways)
+
+
 def test_the_planner_leads_along_the_landmarks():
     options = config.Landmarks(
         num_coverage=4, num_novel=2, pool=4, cutoff=-6.0, near=-2.0, heat=5.0, rounds=4
     )
     planner = landmarks.Planner(Walker(), options)
-    controller = learning.td3.Td3State(*[None] * 6)
     pool = jnp.array([[0.0, 0.0], [5.0, 0.0], [10.0, 0.0], [10.0, 5.0]])
     new = novelty.Novelty(2, options).init(jax.random.key(0))
-    graph = planner.graph(controller, pool, new)
+    graph = planner.graph(CONTROLLER, pool, new)
     assert graph.is_valid.tolist() == [True] * 4 + [False] * 2
     goal = jnp.array([[10.0, 9.0]])
 
     def plan(x, y):
-        return planner.plan(controller, graph, jnp.array([[x, y]]), goal)[0].tolist()
+        return lead(planner, graph, jnp.array([[x, y]]), goal)[0].tolist()
 
     assert plan(1.0, 0.5) == [5.0, 0.0]
     assert plan(9.0, 4.5) == [10.0, 5.0]
@@ -178,18 +186,40 @@ def test_the_planner_leads_along_the_landmarks():
 def test_many_goals_are_planned_for_as_each_alone():
     options = config.Landmarks(num_coverage=6, num_novel=1, pool=40, cutoff=-6.0, rounds=3)
     planner = landmarks.Planner(Walker(), options)
-    controller = learning.td3.Td3State(*[None] * 6)
     pool = jax.random.uniform(jax.random.key(1), (40, 2), maxval=20.0)
-    graph = planner.graph(controller, pool, novelty.Novelty(2, options).init(jax.random.key(0)))
+    graph = planner.graph(CONTROLLER, pool, novelty.Novelty(2, options).init(jax.random.key(0)))
     goals = jax.random.uniform(jax.random.key(2), (40, 2), maxval=20.0)
-    all_at_once = planner.plan(controller, graph, pool, goals)
+    all_at_once = lead(planner, graph, pool, goals)
     for some in (slice(0, 20), slice(20, 40)):
-        found = planner.plan(controller, graph, pool[some], goals[some])
+        found = lead(planner, graph, pool[some], goals[some])
         np.testing.assert_allclose(found, all_at_once[some])
-    repeated = planner.plan(controller, graph, pool, goals[jnp.arange(40) % 3])
+    repeated = lead(planner, graph, pool, goals[jnp.arange(40) % 3])
     for i in range(40):
-        alone = planner.plan(controller, graph, pool[i : i + 1], goals[i % 3][None])
+        alone = lead(planner, graph, pool[i : i + 1], goals[i % 3][None])
         np.testing.assert_allclose(repeated[i], alone[0])
+
+
+def test_the_first_landmark_is_among_the_nearest():
+    pool = jax.random.uniform(jax.random.key(1), (60, 2), maxval=20.0)
+    goals = jax.random.uniform(jax.random.key(2), (60, 2), maxval=20.0)
+
+    def found(num_first):
+        options = config.Landmarks(num_coverage=30, num_novel=1, pool=60, num_first=num_first)
+        options = dataclasses.replace(options, cutoff=-6.0, near=-2.0, heat=5.0)
+        planner = landmarks.Planner(Walker(), options)
+        new = novelty.Novelty(2, options).init(jax.random.key(0))
+        graph = planner.graph(CONTROLLER, pool, new)
+        return graph.obs[graph.is_valid], lead(planner, graph, pool, goals)
+
+    landmark_xy, every = found(31)
+    apart = jnp.sqrt(jnp.square(every - pool).sum(-1))
+    assert (apart > 3.0).sum() > 20
+    np.testing.assert_array_equal(found(100)[1], every)
+    np.testing.assert_array_equal(found(15)[1], every)  # more than lie within the cutoff
+    nearest = jnp.square(landmark_xy[None] - pool[:, None]).sum(-1).argmin(1)
+    near_goal = jnp.square(goals - pool).sum(-1, keepdims=True) < 4.0
+    expected = jnp.where(near_goal, goals, landmark_xy[nearest])
+    np.testing.assert_array_equal(found(1)[1], expected)
 
 
 @pytest.mark.parametrize("moved", [False, True])

@@ -64,44 +64,17 @@ class Planner:
         paths = ops.soft_paths(edges, self._options.heat, self._options.rounds)
         return Graph(obs=obs, is_valid=is_valid, paths=paths)
 
-    def plan(
-        self,
-        controller: td3.Td3State,
-        graph: Graph,
-        obs: Float[Array, "B F"],
-        goal_xy: Float[Array, "B 2"],
-    ) -> Float[Array, "B 2"]:
-        """Returns where to go from each place on the way to its goal: a landmark, or the goal.
-
-        Args:
-          controller: the lower level as it is now.
-          graph: the landmarks.
-          obs: what is seen at the places.
-          goal_xy: each place's goal, units.
-        """
-        num_places, num_landmarks = obs.shape[0], graph.obs.shape[0]
-        landmark_xy = graph.obs[:, :2]
-        ways = self._ways(controller, graph, goal_xy)
-        targets = jnp.concatenate(
-            [
-                jnp.broadcast_to(landmark_xy[None], (num_places, num_landmarks, 2)),
-                goal_xy[:, None],
-            ],
-            axis=1,
-        )
-        first = self._values(controller, obs, targets)
-        cut = first + jnp.where(first < self._options.cutoff, ops.UNREACHABLE, 0.0)
-        score = jnp.where(graph.is_valid[None], cut[:, :-1] + ways, -jnp.inf)
-        chosen = landmark_xy[jnp.argmax(score, axis=1)]
-        is_near = first[:, -1] > self._options.near
-        return jnp.where(is_near[:, None], goal_xy, chosen)
-
-    def _ways(
+    def ways(
         self, controller: td3.Td3State, graph: Graph, goal_xy: Float[Array, "B 2"]
     ) -> Float[Array, "B L"]:
         """Returns the value of the best way from each landmark to each goal.
 
-        Each distinct goal is measured once: a batch holds a maze's few doors again and again.
+        Each distinct goal is measured once: a maze's few goals come again and again.
+
+        Args:
+          controller: the lower level as it is now.
+          graph: the landmarks.
+          goal_xy: goals, units.
         """
         num_landmarks = graph.obs.shape[0]
         goals, index = jnp.unique(goal_xy, axis=0, size=goal_xy.shape[0], return_inverse=True)
@@ -116,6 +89,38 @@ class Planner:
 
         nothing = jnp.zeros((goal_xy.shape[0], num_landmarks))
         return jax.lax.fori_loop(0, index.max() + 1, measure, nothing)[index]
+
+    def plan(
+        self,
+        controller: td3.Td3State,
+        graph: Graph,
+        obs: Float[Array, "B F"],
+        goal_xy: Float[Array, "B 2"],
+        ways: Float[Array, "B L"],
+    ) -> Float[Array, "B 2"]:
+        """Returns where to go from each place on the way to its goal: a landmark, or the goal.
+
+        Args:
+          controller: the lower level as it is now.
+          graph: the landmarks.
+          obs: what is seen at the places.
+          goal_xy: each place's goal, units.
+          ways: from each landmark to the place's goal, see `ways`.
+        """
+        xy, landmark_xy = obs[:, :2], graph.obs[:, :2]
+        apart = jnp.square(landmark_xy[None] - xy[:, None]).sum(-1)
+        apart = jnp.where(graph.is_valid[None], apart, jnp.inf)
+        num_first = min(self._options.num_first, landmark_xy.shape[0])
+        near = jax.lax.top_k(-apart, num_first)[1]
+        targets = jnp.concatenate([landmark_xy[near], goal_xy[:, None]], axis=1)
+        first = self._values(controller, obs, targets)
+        cut = first + jnp.where(first < self._options.cutoff, ops.UNREACHABLE, 0.0)
+        score = cut[:, :-1] + jnp.take_along_axis(ways, near, axis=1)
+        score = jnp.where(graph.is_valid[near], score, -jnp.inf)
+        best = jnp.argmax(score, axis=1, keepdims=True)
+        chosen = landmark_xy[jnp.take_along_axis(near, best, axis=1)[:, 0]]
+        is_near = first[:, -1] > self._options.near
+        return jnp.where(is_near[:, None], goal_xy, chosen)
 
     def _values(
         self,

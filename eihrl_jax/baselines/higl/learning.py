@@ -192,25 +192,28 @@ class Learning:
         pool_key, draw_key, update_key = jax.random.split(key, 3)
         count, size = self.options.num_high_updates, self.options.manager.batch_size
         rows = replay.sample(high_memory, (count, size), draw_key)
-        graph = None
+        graph, ways = None, None
         if self.options.guidance == "landmarks":
             pool = replay.sample(memory, (self.options.landmarks.pool,), pool_key).obs
             graph = self._planner.graph(learned.controller, pool, learned.novelty)
+            ways = self._planner.ways(learned.controller, graph, rows.goal_xy.reshape(-1, 2))
+            ways = ways.reshape(count, size, -1)
 
         def body(
-            state: td3.Td3State, xs: tuple[relabelling.SubgoalRow, Key[Array, ""]]
+            state: td3.Td3State,
+            xs: tuple[relabelling.SubgoalRow, Float[Array, "B L"] | None, Key[Array, ""]],
         ) -> tuple[td3.Td3State, dict[str, Array]]:
-            row, key = xs
+            row, ways, key = xs
             correct_key, noise_key = jax.random.split(key)
             batch = self.subgoal_transition(learned.controller, row, correct_key)
             weight = row.is_running[:, 0].astype(jnp.float32)
             penalty = None
             if self.options.guidance != "none":
-                ahead_xy = self._ahead(learned, graph, row, has_landmarks)
+                ahead_xy = self._ahead(learned, graph, row, ways, has_landmarks)
                 penalty = self._penalty(learned.places.params, row.obs[:, 0, :2], ahead_xy)
             return self.manager.update(state, batch, weight, noise_key, penalty)
 
-        return jax.lax.scan(body, learned.manager, (rows, jax.random.split(update_key, count)))
+        return jax.lax.scan(body, learned.manager, (rows, ways, jax.random.split(update_key, count)))
 
     def subgoal_transition(
         self, controller: td3.Td3State, row: relabelling.SubgoalRow, key: Key[Array, ""]
@@ -244,15 +247,17 @@ class Learning:
         learned: Learned,
         graph: landmarks.Graph | None,
         row: relabelling.SubgoalRow,
+        ways: Float[Array, "B L"] | None,
         has_landmarks: Bool[Array, ""],
     ) -> Float[Array, "B 2"]:
         """Returns the places that subgoals are held to: a step towards the landmark, or here."""
         here_xy = row.obs[:, 0, :2]
-        if graph is None:
+        if graph is None or ways is None:
             return here_xy
+        seen, goal_xy = row.obs[:, 0], row.goal_xy
         target_xy = jax.lax.cond(
             has_landmarks,
-            lambda: self._planner.plan(learned.controller, graph, row.obs[:, 0], row.goal_xy),
+            lambda: self._planner.plan(learned.controller, graph, seen, goal_xy, ways),
             lambda: here_xy,
         )
         way = target_xy - here_xy
