@@ -146,19 +146,21 @@ class PhysicsMaze:
     def control(self, subgoal: Subgoal, body: Body, ctrl: Float[Array, " nu"]) -> Body:
         """Advances one control step; `ctrl` in [-1, 1].
 
-        The robot rests once the last goal is reached or its simulation has broken down.
+        The robot rests once the episode is over: with sparse reward when the last goal is reached,
+        and when its simulation has broken down.
         """
         physics, is_broken = locomotion.move(
             self._engine, body.physics, ctrl, subgoal.maze, body.is_running
         )
         nav = subgoal.nav.replace(visited=body.visited)
         nav, outcome = task.advance(self.course, nav, physics.qpos[None, :2])
+        is_done = outcome.terminated if self._reward == "sparse" else jnp.zeros((), bool)
         is_fallen = locomotion.is_fallen(physics.qpos, self.robot)
         return Body(
             physics=physics,
             visited=nav.visited,
             steps_left=body.steps_left - 1,
-            is_running=body.is_running & ~is_broken & ~outcome.terminated,
+            is_running=body.is_running & ~is_broken & ~is_done,
             is_fallen=is_fallen,
             has_fallen=body.has_fallen | is_fallen,
             is_broken=body.is_broken | is_broken,

@@ -83,6 +83,15 @@ def test_dense_reward_tells_where_a_decision_ends_until_the_time_is_up(maze):
     assert [bool(state.truncated) for state in found] == [False] * 5 + [True]
 
 
+def test_with_dense_reward_the_robot_walks_on_after_the_last_goal():
+    longer = mazes.parse(TEXT, num_decisions=8)
+    env = maze_env.PhysicsMaze(Sled(), longer, view=raster.View(), reward="dense")
+    found = steps(env, drive, [EAST, EAST, SOUTH, SOUTH, WEST, WEST, EAST, NORTH])
+    assert [float(state.metrics["success"]) for state in found[-3:]] == [1.0, 1.0, 1.0]
+    before, after = (state.inner.body.physics.qpos[:2] for state in found[-3:-1])
+    np.testing.assert_allclose(after - before, [base.CELL, 0.0], atol=0.1)
+
+
 def test_goal_is_seen_on_the_way(env):
     def there_and_back(obs, key):
         return drive(obs, key) * jnp.where(obs.time_left > 0.5, 1.0, -1.0)
