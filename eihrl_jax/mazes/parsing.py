@@ -35,8 +35,8 @@ def parse(
     Args:
       text: rows of cells, see the legend above.
       name: how messages call the maze.
-      num_decisions: time limit in subgoals; None: four times the longest shortest tour of the
-        goals in cells, at least 24.
+      num_decisions: time limit in subgoals; None: four times the moves of a shortest tour of
+        the goals in their order from the worst start and to the worst door, at least 24.
       start_jitter: half-width of the uniform offset from the start's centre, in [0, 1.5) units.
 
     Raises:

@@ -48,11 +48,10 @@ def cells(mask: Bool[np.ndarray, "R C"]) -> list[Cell]:
     return [(int(i), int(j)) for i, j in np.argwhere(mask)]
 
 
-def legs(maze: Maze, start: Cell | None = None, door: Cell | None = None) -> list[int]:
-    """Counts the moves of each leg of an episode: start to goal 1, goal 1 to goal 2, and so on.
+def arrivals(maze: Maze, start: Cell | None = None, door: Cell | None = None) -> list[int]:
+    """Counts the moves after which each goal can be entered, all goals before it having been.
 
-    A leg ends in the nearest cell of its region and the next one begins anywhere in that region,
-    so for regions of several cells the sum is a lower bound of the whole way.
+    The last one is the length of the shortest tour of all goals in their order.
 
     Args:
       maze: one maze, no door drawn.
@@ -65,18 +64,28 @@ def legs(maze: Maze, start: Cell | None = None, door: Cell | None = None) -> lis
     free, goal = _free(maze), np.array(maze.goal)
     if door is not None:
         free[door], goal[door] = True, 1
+    is_open, width = _flat(free)
+    goals, size = np.pad(goal, 1).ravel().tolist(), len(is_open)
+    found = [-1] * int(maze.num_goals)
     sources = cells(np.asarray(maze.start)) if start is None else [start]
-    found = []
-    for number in range(1, int(maze.num_goals) + 1):
-        region = cells(goal == number)
-        reached = distances(free, sources)
-        found.append(min((int(reached[cell]) for cell in region if reached[cell] >= 0), default=-1))
-        sources = region
+    # A place is a cell together with the goals entered so far: cell + size * number of goals.
+    moves = {(i + 1) * width + j + 1: 0 for i, j in sources}
+    reached = list(moves)
+    for place in reached:  # grows while it is walked through
+        num_entered, cell = divmod(place, size)
+        for neighbour in (cell + 1, cell - 1, cell + width, cell - width):
+            is_next = goals[neighbour] == num_entered + 1
+            there = neighbour + size * (num_entered + is_next)
+            if is_open[neighbour] and there not in moves:
+                moves[there] = moves[place] + 1
+                reached.append(there)
+                if is_next and found[num_entered] < 0:
+                    found[num_entered] = moves[there]
     return found
 
 
 def longest_tour(maze: Maze) -> int:
-    """Bounds the moves that a shortest tour of all goals takes, over all starts and doors.
+    """Bounds the moves that a shortest tour of the goals in order takes, over all starts and doors.
 
     The bound goes by way of the most central start, which keeps it cheap where starts and doors
     are many; it is exact for one start.
@@ -91,9 +100,9 @@ def longest_tour(maze: Maze) -> int:
     to_middle = int(reached[np.asarray(maze.start)].max())
     doors = cells(np.asarray(maze.door))
     if not doors:
-        return to_middle + sum(legs(maze, middle))
+        return to_middle + arrivals(maze, middle)[-1]
     farthest = max(doors, key=lambda door: way_to_door(reached, door))
-    return to_middle + sum(legs(maze, middle, farthest))
+    return to_middle + arrivals(maze, middle, farthest)[-1]
 
 
 def way_to_door(reached: Int[np.ndarray, "R C"], door: Cell) -> int:

@@ -14,7 +14,7 @@ def test_every_door_can_be_reached_from_every_start(seed):
     starts, doors = paths.cells(np.asarray(maze.start)), paths.cells(np.asarray(maze.door))
     assert 1 <= len(doors) <= 4
     assert not set(starts) & set(doors)
-    assert all(1 <= paths.legs(maze, starts[-1], door)[0] <= rows * columns for door in doors)
+    assert all(1 <= paths.arrivals(maze, starts[-1], door)[0] <= rows * columns for door in doors)
 
 
 def test_goals_lie_at_every_place_that_can_be_reached_and_starts_elsewhere():

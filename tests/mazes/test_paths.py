@@ -41,13 +41,30 @@ def test_largest_part():
     assert not paths.largest_part(np.zeros((2, 3), bool)).any()
 
 
-def test_legs_end_in_the_nearest_cell_and_begin_anywhere_in_the_region():
+def test_a_tour_leads_through_a_region_and_not_from_its_far_side():
     maze = parsing.parse("#########\n#S.111.2#\n#########")
-    assert paths.legs(maze) == [2, 2]
-    assert paths.longest_tour(maze) == 4
+    assert paths.arrivals(maze) == [2, 6]
+    assert paths.longest_tour(maze) == 6
 
 
-def test_legs_to_a_door_that_is_closed():
+def test_a_tour_enters_a_region_where_the_rest_of_it_is_shortest():
+    # The nearest cell of region 1 is a detour: region 2 lies behind the other one.
+    maze = parsing.parse("#######\n#1S.1.#\n#####2#\n#######")
+    assert paths.arrivals(maze) == [1, 4]
+
+
+def test_a_tour_passes_later_goals_that_do_not_count_yet():
+    maze = parsing.parse("#######\n#S.2.1#\n#######")
+    assert paths.arrivals(maze) == [4, 6]
+
+
+def test_the_time_limit_of_a_text_leads_through_its_regions():
+    row = "#S" + 60 * "1" + "2#"
+    maze = parsing.parse("\n".join(["#" * len(row), row, "#" * len(row)]))
+    assert maze.num_decisions == 4 * 61
+
+
+def test_arrival_at_a_door_that_is_closed():
     maze = parsing.parse("#####\n#S.D#\n#####")
-    assert paths.legs(maze) == [-1]
-    assert paths.legs(maze, (1, 1), (1, 3)) == [2]
+    assert paths.arrivals(maze) == [-1]
+    assert paths.arrivals(maze, (1, 1), (1, 3)) == [2]

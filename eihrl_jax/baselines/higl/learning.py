@@ -213,7 +213,8 @@ class Learning:
                 penalty = self._penalty(learned.places.params, row.obs[:, 0, :2], ahead_xy)
             return self.manager.update(state, batch, weight, noise_key, penalty)
 
-        return jax.lax.scan(body, learned.manager, (rows, ways, jax.random.split(update_key, count)))
+        keys = jax.random.split(update_key, count)
+        return jax.lax.scan(body, learned.manager, (rows, ways, keys))
 
     def subgoal_transition(
         self, controller: td3.Td3State, row: relabelling.SubgoalRow, key: Key[Array, ""]
