@@ -13,6 +13,9 @@ from jaxtyping import Array, Bool, Float, Key
 CELL = 3.0
 """Side of a maze cell, and the nominal length of one subgoal, in units (paper, Table 4)."""
 
+SIGMA = 0.3
+"""Standard deviation of oracle movement per axis, in units, where nothing else is asked for."""
+
 NUM_DIRECTIONS = 4
 """Subgoals x+, x-, y+, y- (paper, Sec. 2), in this order everywhere."""
 
@@ -24,6 +27,16 @@ Reward = Literal["sparse", "dense"]
 """What a task pays for: goals that are reached, or nearness to the current one (paper, App. D)."""
 
 REWARDS: tuple[Reward, ...] = get_args(Reward)
+
+MovementName = Literal["oracle", "full"]
+"""What moves the robot: the simulator its torso, or the robot itself, walking with a low level."""
+
+MOVEMENTS: tuple[MovementName, ...] = get_args(MovementName)
+
+EngineName = Literal["mujoco", "mjx"]
+"""Physics: MuJoCo's C code on the processor, or MJX, which JAX compiles for an accelerator."""
+
+ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 
 TIME_UNIT = 1_000.0
 """Control steps in which the time of a `GoalObs` grows by one (HIGL's released code)."""

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from mujoco import batch as mujoco_batch
 
-from eihrl_jax import mazes, robots
+from eihrl_jax import base, mazes, robots
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import scene, walls
 
@@ -109,7 +109,7 @@ def engine_deviations(num_envs: int = 16, num_steps: int = 50) -> list[dict[str,
       ants and steps; `torso`, the median deviation of the torso's xy at the last step, units.
     """
     robot = robots.load("ant")
-    c_engine, mjx_engine = (engine_lib.make(robot, name) for name in engine_lib.ENGINES)
+    c_engine, mjx_engine = (engine_lib.make(robot, name) for name in base.ENGINES)
     c_step, mjx_step = (jax.jit(jax.vmap(engine.step)) for engine in (c_engine, mjx_engine))
     start = _standing(c_engine, jnp.zeros((num_envs, 2)))
     noise = 0.05 * jax.random.normal(jax.random.key(2), start.qpos.shape)

@@ -3,7 +3,6 @@
 import dataclasses
 import pathlib
 from collections.abc import Callable
-from typing import Literal
 
 from eihrl_jax import base, presets
 from eihrl_jax.config import checks
@@ -91,19 +90,17 @@ class AblationConfig:
     seeds: tuple[int, ...] = (0, 1, 2)
     num_updates: int | None = None
     robot: str = "ant"
-    movement: tuple[Literal["oracle", "full"], ...] = ("oracle", "full")
+    movement: tuple[base.MovementName, ...] = base.MOVEMENTS
     episodes: int = 500
     out: pathlib.Path = pathlib.Path("runs/ablation-high")
 
     def __post_init__(self) -> None:
         """Checks names and ranges."""
         checks.one_of("preset", self.preset, tuple(presets.HIGH))
-        for name in self.variants:
-            checks.one_of("variants", name, tuple(variants(self.preset)))
-        for seed in self.seeds:
-            checks.in_range("seeds", seed, 0, 2**32 - 1)
-        if not (self.seeds and self.movement):
-            raise base.UserError("seeds and movement must name at least one each")
+        if self.variants:
+            checks.each_of("variants", self.variants, tuple(variants(self.preset)))
+        checks.seeds(self.seeds)
+        checks.each_of("movement", self.movement, base.MOVEMENTS)
         checks.in_range("episodes", self.episodes, 1, 1_000_000)
         if self.num_updates is not None:
             every = presets.HIGH[self.preset].log_every

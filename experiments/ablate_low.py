@@ -82,17 +82,11 @@ class AblationConfig:
 
     def __post_init__(self) -> None:
         """Checks names and ranges."""
-        for name in self.variants:
-            checks.one_of("variants", name, tuple(VARIANTS))
-        for seed in self.seeds:
-            checks.in_range("seeds", seed, 0, 2**32 - 1)
-        if not self.variants or not self.seeds:
-            raise base.UserError("variants and seeds must name at least one each")
+        checks.each_of("variants", self.variants, tuple(VARIANTS))
+        checks.seeds(self.seeds)
         checks.in_range("num_iterations", self.num_iterations, 500, 2**31 - 1)
         every = presets.low_best().evaluate_every
         checks.divides("evaluate_every", every, "num_iterations", self.num_iterations)
-        if len(set(self.seeds)) < len(self.seeds):
-            raise base.UserError(f"seeds = {self.seeds} names one more than once")
 
 
 def main(config: AblationConfig) -> None:

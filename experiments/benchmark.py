@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 from eihrl_jax import base
+from eihrl_jax.config import checks
 from eihrl_jax.training import parallel, versions
 from experiments import _bench_high, _bench_low, _bench_peers, _bench_physics, _cli
 
@@ -38,10 +39,7 @@ class BenchmarkConfig:
 
     def __post_init__(self) -> None:
         """Checks that there is something to do."""
-        if not self.parts:
-            raise base.UserError(
-                f"parts is empty; name at least one of {', '.join(get_args(Part))}"
-            )
+        checks.each_of("parts", self.parts, get_args(Part))
 
 
 def main(config: BenchmarkConfig) -> None:

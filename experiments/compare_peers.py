@@ -55,17 +55,11 @@ class CompareConfig:
 
     def __post_init__(self) -> None:
         """Checks names and ranges."""
-        for name in self.methods:
-            checks.one_of("methods", name, METHODS)
-        for name in self.mazes:
-            checks.one_of("mazes", name, mazes.NAMES)
-        for reward in self.rewards:
-            checks.one_of("rewards", reward, base.REWARDS)
-        for seed in self.seeds:
-            checks.in_range("seeds", seed, 0, 2**32 - 1)
+        checks.each_of("methods", self.methods, METHODS)
+        checks.each_of("mazes", self.mazes, mazes.NAMES)
+        checks.each_of("rewards", self.rewards, base.REWARDS)
+        checks.seeds(self.seeds)
         checks.in_range("num_steps", self.num_steps, 1, 10_000_000)
-        if not (self.methods and self.mazes and self.rewards and self.seeds):
-            raise base.UserError("methods, mazes, rewards and seeds must name at least one each")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import pathlib
-from typing import Literal
 
 from eihrl_jax import base, policies
 from eihrl_jax.config import checks
@@ -35,7 +34,7 @@ class ReportConfig:
 
     policies: pathlib.Path | None = None
     parts: tuple[str, ...] = tuple(_report_parts.PARTS)
-    movement: tuple[Literal["oracle", "full"], ...] = ("oracle", "full")
+    movement: tuple[base.MovementName, ...] = base.MOVEMENTS
     episodes: int = 500
     slow_episodes: int = 100
     num_rooms: int = 1_000
@@ -45,10 +44,8 @@ class ReportConfig:
 
     def __post_init__(self) -> None:
         """Checks names and ranges."""
-        for name in self.parts:
-            checks.one_of("parts", name, tuple(_report_parts.PARTS))
-        if not (self.parts and self.movement):
-            raise base.UserError("parts and movement must name at least one each")
+        checks.each_of("parts", self.parts, tuple(_report_parts.PARTS))
+        checks.each_of("movement", self.movement, base.MOVEMENTS)
         checks.in_range("episodes", self.episodes, 1, 1_000_000)
         checks.in_range("slow_episodes", self.slow_episodes, 1, 1_000_000)
         checks.in_range("num_rooms", self.num_rooms, 1, 100_000)

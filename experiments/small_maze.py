@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import pathlib
 
-from eihrl_jax import base, presets
+from eihrl_jax import presets
 from eihrl_jax.config import baselines as baselines_config
 from eihrl_jax.config import checks
 from eihrl_jax.config import hess as hess_config
@@ -47,12 +47,8 @@ class SmallConfig:
 
     def __post_init__(self) -> None:
         """Checks names and ranges."""
-        for name in self.methods:
-            checks.one_of("methods", name, METHODS)
-        for seed in self.seeds:
-            checks.in_range("seeds", seed, 0, 2**32 - 1)
-        if not (self.methods and self.seeds):
-            raise base.UserError("methods and seeds must name at least one each")
+        checks.each_of("methods", self.methods, METHODS)
+        checks.seeds(self.seeds)
 
 
 def main(config: SmallConfig) -> None:

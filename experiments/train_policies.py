@@ -38,14 +38,10 @@ class PoliciesConfig:
 
     def __post_init__(self) -> None:
         """Checks names and ranges."""
-        for name in self.presets:
-            checks.one_of("presets", name, tuple(presets.HIGH))
-        for name in self.mazes:
-            checks.one_of("mazes", name, mazes.NAMES)
-        for seed in self.seeds:
-            checks.in_range("seeds", seed, 0, 2**32 - 1)
-        if not (self.presets and self.mazes and self.rewards and self.seeds):
-            raise base.UserError("presets, mazes, rewards and seeds must name at least one each")
+        checks.each_of("presets", self.presets, tuple(presets.HIGH))
+        checks.each_of("mazes", self.mazes, mazes.NAMES)
+        checks.each_of("rewards", self.rewards, base.REWARDS)
+        checks.seeds(self.seeds)
 
 
 def main(config: PoliciesConfig) -> None:

@@ -47,7 +47,7 @@ class BaselineConfig:
     num_decisions: int | None = None
     goals: Goals = "own"
     robot: str = "ant"
-    engine: Literal["mujoco", "mjx"] = "mujoco"
+    engine: base.EngineName = "mujoco"
     num_envs: int = 10
     num_steps: int = 1_000_000
     log_rounds: int = 10
@@ -94,7 +94,7 @@ def check_arena(config: BaselineConfig) -> None:
     checks.in_range("seed", config.seed, 0, 2**32 - 1)
     checks.one_of("reward", config.reward, base.REWARDS)
     checks.one_of("goals", config.goals, get_args(Goals))
-    checks.one_of("engine", config.engine, ("mujoco", "mjx"))
+    checks.one_of("engine", config.engine, base.ENGINES)
     if config.num_decisions is not None:
         checks.in_range("num_decisions", config.num_decisions, 1, 10_000)
     checks.in_range("num_envs", config.num_envs, 1, 2**16)

@@ -1,7 +1,7 @@
 """Checks for `__post_init__` of the configs: each names the option, its value and the limit."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 from eihrl_jax import base
 
@@ -63,6 +63,56 @@ def one_of(name: str, value: str, choices: Collection[str]) -> None:
         raise base.UserError(f"{name} = {value!r} must be one of {', '.join(choices)}")
 
 
+def distinct(name: str, values: Sequence[object]) -> None:
+    """Checks that a list holds something, and nothing twice.
+
+    Raises:
+      UserError: it doesn't.
+
+    >>> distinct("mazes", ("u", "s", "u"))
+    Traceback (most recent call last):
+    ...
+    eihrl_jax.base.UserError: mazes names 'u' more than once
+    """
+    if not values:
+        raise base.UserError(f"{name} is empty; give at least one")
+    repeated = [value for i, value in enumerate(values) if value in values[:i]]
+    if repeated:
+        raise base.UserError(f"{name} names {repeated[0]!r} more than once")
+
+
+def each_of(name: str, values: Sequence[str], choices: Collection[str]) -> None:
+    """Checks that a list holds known words, at least one, none twice.
+
+    Raises:
+      UserError: it doesn't.
+    """
+    distinct(name, values)
+    for value in values:
+        one_of(name, value, choices)
+
+
+def seeds(values: Sequence[int]) -> None:
+    """Checks the option `seeds`: numbers of 32 bits, at least one, none twice.
+
+    Raises:
+      UserError: they aren't.
+    """
+    distinct("seeds", values)
+    for value in values:
+        in_range("seeds", value, 0, 2**32 - 1)
+
+
+def widths(name: str, values: Sequence[int], least: int = 1) -> None:
+    """Checks the widths of layers, of which there may be none.
+
+    Raises:
+      UserError: one is out of range.
+    """
+    for value in values:
+        in_range(name, value, least, 4096)
+
+
 def divides(name: str, value: int, other_name: str, other: int) -> None:
     """Checks that `other` is a whole multiple of `value`.
 
@@ -84,7 +134,7 @@ def measured_alone(measured: object, step: float, sigma: float) -> None:
     Raises:
       UserError: they are.
     """
-    if measured is not None and (step, sigma) != (base.CELL, 0.3):
+    if measured is not None and (step, sigma) != (base.CELL, base.SIGMA):
         raise base.UserError(
             f"step = {step} and sigma = {sigma} can't be set together with measured = {measured}"
         )

@@ -2,10 +2,13 @@
 
 import dataclasses
 import pathlib
-from typing import Literal
+from typing import Literal, get_args
 
 from eihrl_jax import base
 from eihrl_jax.config import checks
+
+Animate = Literal["one", "all", "none"]
+"""Which evaluations are animated, see `EvaluateConfig`."""
 
 RANDOM = "random"
 """What the high level is called that chooses directions uniformly."""
@@ -43,7 +46,7 @@ class EvaluateConfig:
 
     mazes: tuple[str, ...] = ("random", "g1", "g2", "g3")
     robot: tuple[str, ...] = ("ant",)
-    movement: tuple[Literal["oracle", "full"], ...] = ("oracle", "full")
+    movement: tuple[base.MovementName, ...] = base.MOVEMENTS
     high: tuple[str, ...] = ("best-random-0",)
     low: tuple[str, ...] = ()
     reward: base.Reward = "sparse"
@@ -53,27 +56,24 @@ class EvaluateConfig:
     num_decisions: int | None = None
     greedy: bool = False
     step: float = base.CELL
-    sigma: float = 0.3
+    sigma: float = base.SIGMA
     measured: pathlib.Path | None = None
-    engine: Literal["mujoco", "mjx"] = "mujoco"
-    animate: Literal["one", "all", "none"] = "one"
+    engine: base.EngineName = "mujoco"
+    animate: Animate = "one"
     heatmaps: bool = True
 
     def __post_init__(self) -> None:
         """Checks ranges, and that nothing is asked for twice."""
-        for name in ("mazes", "robot", "movement", "high", "seeds"):
-            values = getattr(self, name)
-            if not values:
-                raise base.UserError(f"{name} is empty; give at least one")
-            repeated = [value for i, value in enumerate(values) if value in values[:i]]
-            if repeated:
-                raise base.UserError(f"{name} names {repeated[0]!r} more than once")
+        for name in ("mazes", "robot", "high"):
+            checks.distinct(name, getattr(self, name))
+        checks.each_of("movement", self.movement, base.MOVEMENTS)
+        checks.seeds(self.seeds)
         checks.one_of("reward", self.reward, base.REWARDS)
+        checks.one_of("engine", self.engine, base.ENGINES)
+        checks.one_of("animate", self.animate, get_args(Animate))
         checks.measured_alone(self.measured, self.step, self.sigma)
         self._check_movement()
         checks.in_range("episodes", self.episodes, 1, 1_000_000)
-        for seed in self.seeds:
-            checks.in_range("seeds", seed, 0, 2**32 - 1)
         if self.num_decisions is not None:
             checks.in_range("num_decisions", self.num_decisions, 1, 10_000)
         if self.low and len(self.low) != len(self.robot):

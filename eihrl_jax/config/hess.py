@@ -30,8 +30,7 @@ class Sac:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
-        for width in self.hidden:
-            checks.in_range("hidden", width, 1, 4096)
+        checks.widths("hidden", self.hidden)
         checks.in_range("reach", self.reach, above=0.0)
         checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
         checks.in_range("temperature", self.temperature, 0.0)
@@ -80,8 +79,8 @@ class Ddpg:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
-        for width in (*self.hidden, *self.critic_hidden):
-            checks.in_range("hidden", width, 1, 4096)
+        checks.widths("hidden", self.hidden)
+        checks.widths("critic_hidden", self.critic_hidden)
         checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
         checks.in_range("half_life", self.half_life, 1, 2**31 - 1)
         checks.in_range("critic_decay", self.critic_decay, 0.0, 1.0)
@@ -130,8 +129,7 @@ class Representation:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
-        for width in self.hidden:
-            checks.in_range("hidden", width, 1, 4096)
+        checks.widths("hidden", self.hidden)
         checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
         checks.in_range("batch_size", self.batch_size, 1, 2**20)
         checks.in_range("num_updates", self.num_updates, 1, 2**31 - 1)

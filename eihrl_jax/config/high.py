@@ -43,8 +43,8 @@ class Task:
     reward: base.Reward = "sparse"
     extent: float = 9.0
     pixels: int = 15
-    step: float = 3.0
-    sigma: float = 0.3
+    step: float = base.CELL
+    sigma: float = base.SIGMA
     measured: pathlib.Path | None = None
     num_postures: int | None = None
     num_substeps: int = 6
@@ -54,16 +54,10 @@ class Task:
     room_walls: float = 0.3
 
     def __post_init__(self) -> None:
-        """Checks what can be checked without loading anything."""
+        """Checks what the view, the movement and the generator of rooms don't check themselves."""
         checks.one_of("reward", self.reward, base.REWARDS)
-        checks.in_range("extent", self.extent, above=0.0, high=100.0)
-        checks.in_range("pixels", self.pixels, 1, 256)
-        checks.in_range("step", self.step, above=0.0, high=30.0)
-        checks.in_range("sigma", self.sigma, 0.0, 3.0)
-        checks.in_range("num_substeps", self.num_substeps, 6, 100)
         if self.num_postures is not None:
             checks.in_range("num_postures", self.num_postures, 1, 1_000_000)
-        checks.in_range("map_radius", self.map_radius, 0, 32)
         checks.in_range("num_rooms", self.num_rooms, 0, 100_000)
         if self.num_rooms and self.maze != type(self).maze:
             raise base.UserError(
@@ -73,7 +67,6 @@ class Task:
         least, greatest = self.room_sides
         checks.in_range("room_sides", greatest, 2, 100)
         checks.in_range("room_sides", least, 2, greatest)
-        checks.in_range("room_walls", self.room_walls, 0.0, 0.4)
         if self.num_decisions is not None:
             checks.in_range("num_decisions", self.num_decisions, 1, 10_000)
         checks.measured_alone(self.measured, self.step, self.sigma)
@@ -111,8 +104,7 @@ class Network:
         checks.one_of("kind", self.kind, ("patch", "planner"))
         checks.in_range("tile", self.tile, 1, 256)
         checks.in_range("tile_features", self.tile_features, 1, 1024)
-        for width in self.hidden:
-            checks.in_range("hidden", width, 1, 4096)
+        checks.widths("hidden", self.hidden)
         checks.in_range("num_iterations", self.num_iterations, 0, 1000)
         checks.in_range("cell_features", self.cell_features, 1, 1024)
         checks.in_range("value_features", self.value_features, 1, 4096)

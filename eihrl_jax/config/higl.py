@@ -43,8 +43,7 @@ class Td3:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
-        for width in self.hidden:
-            checks.in_range("hidden", width, 1, 4096)
+        checks.widths("hidden", self.hidden)
         checks.in_range("reach", self.reach, above=0.0)
         checks.in_range("actor_rate", self.actor_rate, above=0.0, high=1.0)
         checks.in_range("critic_rate", self.critic_rate, above=0.0, high=1.0)
@@ -88,8 +87,7 @@ class Adjacency:
     def __post_init__(self) -> None:
         """Checks ranges."""
         checks.in_range("steps", self.steps, 1, 1_000)
-        for width in self.hidden:
-            checks.in_range("hidden", width, 1, 4096)
+        checks.widths("hidden", self.hidden)
         checks.in_range("num_features", self.num_features, 1, 4096)
         checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
         checks.in_range("near", self.near, above=0.0)
@@ -141,8 +139,7 @@ class Landmarks:
         checks.in_range("num_novel", self.num_novel, 1, 1_000)
         checks.in_range("pool", self.pool, self.num_coverage, 1_000_000)
         checks.in_range("merge_radius", self.merge_radius, 0.0)
-        for width in self.novelty_hidden:
-            checks.in_range("novelty_hidden", width, 1, 4096)
+        checks.widths("novelty_hidden", self.novelty_hidden)
         checks.in_range("novelty_rate", self.novelty_rate, above=0.0, high=1.0)
         checks.in_range("first_step", self.first_step, 0, 2**31 - 1)
         checks.in_range("cutoff", self.cutoff, high=0.0)

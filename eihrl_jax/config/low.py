@@ -101,8 +101,8 @@ class Droq:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
+        checks.widths("hidden", self.hidden, least=2)
         for width in self.hidden:
-            checks.in_range("hidden", width, 2, 4096)
             checks.divides("2", 2, "hidden", width)
         checks.in_range("num_critics", self.num_critics, 1, 100)
         checks.in_range("dropout", self.dropout, 0.0, below=1.0)
@@ -158,7 +158,7 @@ class LowConfig:
     resume: bool = False
     start_from: pathlib.Path | None = None
     robot: str = "ant"
-    engine: Literal["mujoco", "mjx"] = "mujoco"
+    engine: base.EngineName = "mujoco"
     num_envs: int = 1
     num_iterations: int = 400_000
     warmup_iterations: int = 5_000
@@ -180,7 +180,7 @@ class LowConfig:
     def __post_init__(self) -> None:
         """Checks ranges, and how the options fit together."""
         checks.in_range("seed", self.seed, 0, 2**32 - 1)
-        checks.one_of("engine", self.engine, ("mujoco", "mjx"))
+        checks.one_of("engine", self.engine, base.ENGINES)
         checks.in_range("num_envs", self.num_envs, 1, 2**16)
         checks.in_range("num_iterations", self.num_iterations, 1, 2**31 - 1)
         checks.in_range("warmup_iterations", self.warmup_iterations, 1, 2**31 - 1)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import pathlib
-from typing import Literal
 
 from eihrl_jax import base
 from eihrl_jax.config import checks
@@ -33,8 +32,8 @@ class MeasureConfig:
     low: str | None = None
     num_subgoals: int = 5_000
     num_envs: int = 128
-    engine: Literal["mujoco", "mjx"] = "mujoco"
-    sigma: float = 0.3
+    engine: base.EngineName = "mujoco"
+    sigma: float = base.SIGMA
     num_postures: int = 2048
     seed: int = 0
     out: pathlib.Path = pathlib.Path("runs/subgoals")
@@ -44,7 +43,7 @@ class MeasureConfig:
         checks.in_range("num_envs", self.num_envs, 1, 2**16)
         # The first subgoal of a robot, which stood still before, gives no postures.
         checks.in_range("num_subgoals", self.num_subgoals, max(100, 2 * self.num_envs), 200_000)
-        checks.one_of("engine", self.engine, ("mujoco", "mjx"))
+        checks.one_of("engine", self.engine, base.ENGINES)
         checks.in_range("sigma", self.sigma, above=0.0, high=base.CELL)
         checks.in_range("num_postures", self.num_postures, 1, 1_000_000)
         checks.in_range("seed", self.seed, 0, 2**32 - 1)

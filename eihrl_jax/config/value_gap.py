@@ -32,7 +32,7 @@ class ValueGapConfig:
     high: str = "best-random-0"
     mazes: tuple[str, ...] = ("random", "g1")
     sigmas: tuple[float, ...] = (0.0, 0.1, 0.2, 0.28, 0.29, 0.31, 0.32, 0.4, 0.5, 0.6, 0.8, 1.0)
-    reference: float = 0.3
+    reference: float = base.SIGMA
     robots: tuple[str, ...] = ("point", "ant")
     episodes: int = 2_000
     walking_episodes: int = 500
@@ -42,8 +42,7 @@ class ValueGapConfig:
 
     def __post_init__(self) -> None:
         """Checks ranges."""
-        if not self.mazes:
-            raise base.UserError("mazes is empty; give at least one")
+        checks.distinct("mazes", self.mazes)
         for sigma in self.sigmas:
             checks.in_range("sigmas", sigma, 0.0, base.CELL)
         checks.in_range("reference", self.reference, above=0.0, high=base.CELL)

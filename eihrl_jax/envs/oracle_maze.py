@@ -45,7 +45,7 @@ class Movement:
     """
 
     step: float = base.CELL
-    sigma: float = 0.3
+    sigma: float = base.SIGMA
     num_substeps: int = 6
     body_radius: float = 0.7
 

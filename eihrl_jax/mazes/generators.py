@@ -99,6 +99,7 @@ def training_rooms(
       base.UserError: an argument out of its limits.
     """
     checks.in_range("num", num, 1, FIRST_SEED >> 12)
+    checks.in_range("wall_share", wall_share, 0.0, MAX_WALL_SHARE)
     first = FIRST_SEED + seed * (FIRST_SEED >> 12)
     rng = np.random.default_rng(first)
     least, greatest = sides

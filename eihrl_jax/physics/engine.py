@@ -10,8 +10,6 @@ from jaxtyping import Array, Float
 from eihrl_jax import base
 from eihrl_jax.robots import robot as robot_lib
 
-ENGINES = ("mujoco", "mjx")
-
 
 class PhysicsState(struct.PyTreeNode):
     """All that a simulation needs to go on. nq, nv: MuJoCo's sizes of the robot.
@@ -88,4 +86,4 @@ def make(robot: robot_lib.Robot, name: str = "mujoco", cell: float = base.CELL) 
         from eihrl_jax.physics import mjx_engine
 
         return mjx_engine.MjxEngine(robot, cell)
-    raise base.UserError(f"engine {name!r} is unknown; choose one of {', '.join(ENGINES)}")
+    raise base.UserError(f"engine {name!r} is unknown; choose one of {', '.join(base.ENGINES)}")

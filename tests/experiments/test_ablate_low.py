@@ -62,8 +62,8 @@ def test_every_variant_but_the_first_changes_something_and_one_is_the_preset():
     ("options", "message"),
     [
         ({"variants": ("worse",)}, "variants = 'worse' must be one of restarted steps, "),
-        ({"variants": ()}, "must name at least one"),
-        ({"seeds": (1, 1)}, "names one more than once"),
+        ({"variants": ()}, "variants is empty"),
+        ({"seeds": (1, 1)}, "seeds names 1 more than once"),
         ({"num_iterations": 750}, "evaluate_every = 500 must divide num_iterations = 750"),
     ],
 )

@@ -118,7 +118,7 @@ def test_what_a_killed_evaluation_left_is_begun_anew(tmp_path):
 def test_bad_input_is_named(tmp_path):
     with pytest.raises(base.UserError, match=r"presets = 'better' must be one of best, "):
         train_policies.PoliciesConfig(presets=("better",))
-    with pytest.raises(base.UserError, match="must name at least one"):
+    with pytest.raises(base.UserError, match="mazes is empty"):
         train_policies.PoliciesConfig(mazes=())
     with pytest.raises(base.UserError, match=r"parts = 'all' must be one of table1, "):
         report.ReportConfig(parts=("all",))

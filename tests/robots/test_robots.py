@@ -152,7 +152,7 @@ def test_swimmer_is_stopped_by_a_wall():
 def test_mjx_agrees_on_the_other_robots(name):
     """Ten control steps with random controls; the ant's comparison is in tests/physics."""
     robot = robots.load(name)
-    c_engine, mjx_engine = (engine_lib.make(robot, engine) for engine in engine_lib.ENGINES)
+    c_engine, mjx_engine = (engine_lib.make(robot, engine) for engine in base.ENGINES)
     ctrls = ctrls_of(c_engine, 10, "random")
     truth, _ = roll(c_engine, ctrls)
     qpos, _ = roll(mjx_engine, ctrls)

@@ -122,8 +122,6 @@ def test_values_look_beyond_the_limit_where_the_reward_is_dense(tmp_path, reward
         (high_config.Learner, {"gamma": 1.5}, "gamma = 1.5"),
         (high_config.Learner, {"num_workers": 0}, "num_workers = 0"),
         (high_config.Learner, {"optimiser": "sgd"}, "optimiser = 'sgd'"),
-        (high_config.Task, {"sigma": -0.1}, "sigma = -0.1"),
-        (high_config.Task, {"map_radius": 33}, "map_radius = 33"),
         (
             high_config.Task,
             {"room_sides": (7, 6)},
@@ -142,6 +140,30 @@ def test_values_look_beyond_the_limit_where_the_reward_is_dense(tmp_path, reward
 def test_options_out_of_range(part, options, message):
     with pytest.raises(base.UserError, match=message):
         part(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sigma": -0.1}, r"sigma = -0\.1 must be at least 0\.0"),
+        ({"step": 20.0}, r"step = 20\.0 must be at least 0\.0 and at most 12\.0"),
+        ({"extent": 60.0}, r"extent = 60\.0 must be at least 3\.0 and at most 45\.0"),
+        ({"pixels": 200}, "pixels = 200 must be at least 3 and at most 128"),
+        ({"map_radius": 33}, "map_radius = 33 must be at least 0 and at most 32"),
+        (
+            {"num_rooms": 4, "room_walls": 0.5},
+            r"wall_share = 0\.5 must be at least 0\.0 and at most 0\.4",
+        ),
+    ],
+)
+def test_limits_of_view_movement_and_rooms_are_told_before_there_is_a_run(
+    tmp_path, options, message
+):
+    config = tiny(tmp_path)
+    task = dataclasses.replace(config.task, **{"maze": "random"} | options)
+    with pytest.raises(base.UserError, match=message):
+        high.train(dataclasses.replace(config, task=task))
+    assert not config.run.exists()
 
 
 def test_measured_walking_takes_the_place_of_the_nominal(tmp_path):
