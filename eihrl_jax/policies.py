@@ -1,6 +1,6 @@
 """Final policies: parameters of one level as a small checkpoint, with what is needed to use them.
 
-A policy is a folder with `arrays/` (see `training.checkpoint`) and `meta.json`: which level (or
+A policy is a folder with `arrays/` (see `checkpoint`) and `meta.json`: which level (or
 that it is a whole baseline), which robot, sizes of network and view, the config, versions and
 steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run in `<run>/policy`.
 """
@@ -10,8 +10,7 @@ import pathlib
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
-from eihrl_jax import base
-from eihrl_jax.training import checkpoint
+from eihrl_jax import base, checkpoint
 
 Kind = Literal["high", "low", "baseline"]
 
@@ -47,6 +46,7 @@ def save(
 
     Raises:
       UserError: something is already there.
+      ValueError: a low level's robot isn't named.
     """
     if kind == "low" and "robot" not in meta:
         raise ValueError("a low-level policy needs its robot's name in meta")
@@ -54,22 +54,19 @@ def save(
     checkpoint.write(path, {"params": params}, files={"meta.json": text}, overwrite=overwrite)
 
 
-def load(
-    path: pathlib.Path, *, kind: Kind, robot: str | None = None, template: Any = None
-) -> tuple[Any, dict[str, Any]]:
+def load(path: pathlib.Path, *, kind: Kind, robot: str | None = None) -> tuple[Any, dict[str, Any]]:
     """Reads a policy after checking every byte of it.
 
     Args:
       path: a folder that `save` wrote; see `find`.
       kind: the level that is wanted.
       robot: name of the robot that is wanted, None for any.
-      template: parameters of the network that they are for, None for any.
 
     Returns:
       The parameters, and what `save` got as `meta`.
 
     Raises:
-      UserError: it is no policy, damaged, or of another level, robot or network size.
+      UserError: it is no policy, damaged, or of another level or robot.
     """
     meta = json.loads(checkpoint.read_file(path, "meta.json"))
     if meta["kind"] != kind:
@@ -78,8 +75,23 @@ def load(
         raise base.UserError(
             f"{path} is a policy of robot {meta.get('robot')!r}, expected {robot!r}"
         )
-    tree = checkpoint.read(path, None if template is None else {"params": template})
-    return tree["params"], meta
+    return checkpoint.read(path)["params"], meta
+
+
+def entry(meta: Mapping[str, Any], name: str, path: pathlib.Path) -> Any:
+    """Returns an entry of a policy's meta.json.
+
+    Args:
+      meta: as `load` returned it.
+      name: of the entry.
+      path: the policy's folder.
+
+    Raises:
+      UserError: there is none.
+    """
+    if name not in meta:
+        raise base.UserError(f"{path}: meta.json lacks {name!r}")
+    return meta[name]
 
 
 def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:

@@ -37,9 +37,6 @@ SHORT = {
 }
 """Options of a run that takes seconds and checkpoints all the time."""
 
-TIMINGS = ("per_second", "seconds")
-"""Endings of the metrics that no two runs share."""
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options:
@@ -140,12 +137,9 @@ def _difference(options: Options, folder: pathlib.Path) -> str | None:
 
 
 def _rows(folder: pathlib.Path) -> list[dict[str, str]]:
-    """Rows of a run's metrics without the timings."""
+    """Rows of a run's metrics, which tell no times."""
     with (folder / "metrics.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    return [
-        {name: value for name, value in row.items() if not name.endswith(TIMINGS)} for row in rows
-    ]
+        return list(csv.DictReader(file))
 
 
 if __name__ == "__main__":

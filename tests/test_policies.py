@@ -17,24 +17,23 @@ def saved(tmp_path):
 
 
 def test_round_trip(saved):
-    params, meta = policies.load(saved, kind="low", robot="ant", template=PARAMS)
+    params, meta = policies.load(saved, kind="low", robot="ant")
     np.testing.assert_array_equal(params["actor"]["dense"]["kernel"], 1.0)
     assert meta == {"kind": "low", "robot": "ant", "widths": [4]}
 
 
-def test_load_without_template(saved):
-    params, _ = policies.load(saved, kind="low")
-    assert params["actor"]["dense"]["bias"].shape == (4,)
-
-
-def test_other_level_robot_and_size_are_refused(saved):
+def test_other_level_and_robot_are_refused(saved):
     with pytest.raises(base.UserError, match="is a low-level policy, expected a high-level"):
         policies.load(saved, kind="high")
     with pytest.raises(base.UserError, match="of robot 'ant', expected 'point'"):
         policies.load(saved, kind="low", robot="point")
-    wider = {"actor": {"dense": {"kernel": jnp.ones((3, 8)), "bias": jnp.zeros(8)}}}
-    with pytest.raises(base.UserError, match=r"bias is float32\[4\], expected float32\[8\]"):
-        policies.load(saved, kind="low", template=wider)
+
+
+def test_a_missing_entry_is_named(saved):
+    _, meta = policies.load(saved, kind="low")
+    assert policies.entry(meta, "widths", saved) == [4]
+    with pytest.raises(base.UserError, match=r"meta\.json lacks 'view'"):
+        policies.entry(meta, "view", saved)
 
 
 @pytest.mark.parametrize("name", ["meta.json", "manifest.json"])

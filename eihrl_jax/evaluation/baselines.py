@@ -9,11 +9,10 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
-from eihrl_jax import base, config, mazes, policies, presets
+from eihrl_jax import base, checkpoint, config, mazes, policies, presets
 from eihrl_jax.agents import hierarchy
 from eihrl_jax.baselines import system as system_lib
 from eihrl_jax.envs import goal_maze, locomotion, task
-from eihrl_jax.evaluation import checked
 from eihrl_jax.physics import engine as engine_lib
 
 
@@ -105,15 +104,15 @@ def load(
     """
     path = policies.find(name, "baseline")
     policy, meta = policies.load(path, kind="baseline", robot=engine.robot.name)
-    method = checked.entry(meta, "method", path)
+    method = policies.entry(meta, "method", path)
     if method not in presets.BASELINES:
         raise base.UserError(f"{path}: unknown method {method!r}")
-    text = json.dumps(checked.entry(meta, "config", path), default=str)
+    text = json.dumps(policies.entry(meta, "config", path), default=str)
     options = config.from_json(type(presets.BASELINES[method]), text, source=str(path))
     env = goal_maze.GoalMaze(engine, stacked, reward=reward)
-    width, height = checked.entry(meta, "side_xy", path)
+    width, height = policies.entry(meta, "side_xy", path)
     steps = int(env.course.mazes.num_decisions.max())
     system = system_lib.make(env, engine.model.nu, (width, height), steps, options)
     expected = jax.eval_shape(lambda key: system.policy(system.init(key)), jax.random.key(0))
-    checked.shapes(policy, expected, path)
+    checkpoint.check_same(path, policy, expected)
     return BaselineMaze(env, task.prepare(stacked), system, policy)

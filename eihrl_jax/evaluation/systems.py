@@ -9,13 +9,13 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float, Int, Key
 
-from eihrl_jax import base, config, mazes, policies, postures, raster
+from eihrl_jax import base, checkpoint, config, mazes, policies, postures, raster
 from eihrl_jax.agents import hierarchy, peg_a2c
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import low_obs, maze, oracle_maze, task
-from eihrl_jax.evaluation import checked, rollouts
+from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import actor_critic, droq
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
@@ -91,11 +91,11 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
         return HighLevel(name, jax.tree_util.Partial(_random_direction), raster.View())
     path = policies.find(name, "high")
     params, meta = policies.load(path, kind="high")
-    view = raster.View(**checked.entry(meta, "view", path))
-    sizes = json.dumps(checked.entry(meta, "network", path))
+    view = raster.View(**policies.entry(meta, "view", path))
+    sizes = json.dumps(policies.entry(meta, "network", path))
     network = actor_critic.make(config.from_json(high_config.Network, sizes, source=str(path)))
     obs = jnp.zeros(view.obs_shape, bool)
-    checked.shapes(params, jax.eval_shape(network.init, jax.random.key(0), obs), path)
+    checkpoint.check_same(path, params, jax.eval_shape(network.init, jax.random.key(0), obs))
     policy = jax.tree_util.Partial(_Learned(network, greedy), params)
     return HighLevel(name, policy, view)
 
@@ -128,12 +128,14 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
     """
     path = policies.find(name, "low")
     params, meta = policies.load(path, kind="low", robot=robot.name)
-    options = low_config.LowInput(**checked.entry(meta, "low_input", path))
+    options = low_config.LowInput(**policies.entry(meta, "low_input", path))
     actor = droq.Actor(
-        checked.entry(meta, "num_actions", path), tuple(checked.entry(meta, "hidden", path))
+        policies.entry(meta, "num_actions", path), tuple(policies.entry(meta, "hidden", path))
     )
-    features = jnp.zeros((1, checked.entry(meta, "num_features", path)))
-    checked.shapes(params, jax.eval_shape(actor.init, jax.random.key(0), features)["params"], path)
+    features = jnp.zeros((1, policies.entry(meta, "num_features", path)))
+    checkpoint.check_same(
+        path, params, jax.eval_shape(actor.init, jax.random.key(0), features)["params"]
+    )
 
     def policy(obs: low_obs.LowObs, key: Key[Array, ""]) -> Float[Array, " nu"]:
         del key

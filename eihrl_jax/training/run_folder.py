@@ -22,8 +22,8 @@ from typing import Any, TextIO
 import jax
 import tensorboardX
 
-from eihrl_jax import base, config
-from eihrl_jax.training import checkpoint, versions
+from eihrl_jax import base, checkpoint, config
+from eihrl_jax.training import versions
 
 CHECKPOINTS = "checkpoints"
 """Name of the folder of a run's checkpoints."""

@@ -8,13 +8,13 @@ import jax
 import numpy as np
 import pytest
 
-from eihrl_jax import base, policies, presets
+from eihrl_jax import base, checkpoint, policies, presets
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.config import higl as higl_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.evaluation import evaluate
-from eihrl_jax.training import baselines, checkpoint
+from eihrl_jax.training import baselines
 
 MAZE = "####\n#1S#\n####\n"
 METHODS = tuple(presets.BASELINES)

@@ -273,7 +273,7 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path):
 def test_policies_that_do_not_fit_are_refused(folder):
     with pytest.raises(base.UserError, match="expected 'ant'"):
         systems.load_low(str(folder / "low"), robots.load("ant"))
-    with pytest.raises(base.UserError, match=r"shape .* expected"):
+    with pytest.raises(base.UserError, match=r"holds another network or state: .* expected"):
         systems.load_low(str(folder / "wrong"), robots.load("point"))
     with pytest.raises(base.UserError, match="expected a high-level"):
         systems.load_high(str(folder / "low"))

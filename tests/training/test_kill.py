@@ -9,12 +9,12 @@ import time
 import jax.numpy as jnp
 import numpy as np
 
-from eihrl_jax.training import checkpoint
+from eihrl_jax import checkpoint
 
 SAVE_FOREVER = """
 import itertools, pathlib, sys
 import jax.numpy as jnp
-from eihrl_jax.training import checkpoint
+from eihrl_jax import checkpoint
 folder, shape = pathlib.Path(sys.argv[1]), (int(sys.argv[2]),)
 for step in itertools.count(int(sys.argv[3])):
     checkpoint.save(folder, step, {"x": jnp.full(shape, float(step))})

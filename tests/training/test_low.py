@@ -8,9 +8,9 @@ import jax
 import numpy as np
 import pytest
 
-from eihrl_jax import base, policies, postures, presets, robots
+from eihrl_jax import base, checkpoint, policies, postures, presets, robots
 from eihrl_jax.config import low as low_config
-from eihrl_jax.training import checkpoint, low
+from eihrl_jax.training import low
 
 
 def _config(run, **changes):

@@ -135,7 +135,7 @@ def read(path: pathlib.Path, template: Any = None) -> Any:
     _check_files(path, manifest["files"])
     if template is None:
         template = _nested(manifest["arrays"], path)
-    _check_same(path, found=manifest["arrays"], expected=describe(template))
+    _check_same(path, manifest["arrays"], describe(template))
     restore_args = ocp.checkpoint_utils.construct_restore_args(template)
     arguments = ocp.args.PyTreeRestore(item=template, restore_args=restore_args)
     with _checkpointer() as checkpointer:
@@ -243,7 +243,21 @@ def _check_file(path: pathlib.Path, name: str, expected: str) -> None:
         )
 
 
-def _check_same(path: pathlib.Path, *, found: dict[str, str], expected: dict[str, str]) -> None:
+def check_same(path: pathlib.Path, found: Any, expected: Any) -> None:
+    """Checks that a tree read from a folder has the structure, shapes and types of another one.
+
+    Args:
+      path: the folder.
+      found: what was read there.
+      expected: a tree such as is needed, arrays or their shapes.
+
+    Raises:
+      UserError: it is another one.
+    """
+    _check_same(path, describe(found), describe(expected))
+
+
+def _check_same(path: pathlib.Path, found: dict[str, str], expected: dict[str, str]) -> None:
     for name in [*expected, *found]:
         left, right = found.get(name, "nothing"), expected.get(name, "nothing")
         if left != right:

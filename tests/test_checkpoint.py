@@ -11,8 +11,7 @@ import optax
 import pytest
 from flax import struct
 
-from eihrl_jax import base
-from eihrl_jax.training import checkpoint
+from eihrl_jax import base, checkpoint
 
 
 class State(struct.PyTreeNode):
