@@ -156,7 +156,10 @@ def _walking(options: high_config.HighConfig) -> hierarchy.Hierarchy:
 def _shortened(preset: baselines_config.BaselineConfig) -> baselines_config.BaselineConfig:
     """Returns a preset for budgets of some 100,000 control steps."""
     if isinstance(preset, baselines_config.FlatConfig):
-        return dataclasses.replace(preset, updates_per_step=1, capacity=200_000)
+        # One update of the actor and the temperature per control step, as the preset and the
+        # released code have it: the period counts critic updates.
+        learner = dataclasses.replace(preset.learner, actor_period=1)
+        return dataclasses.replace(preset, learner=learner, updates_per_step=1, capacity=200_000)
     if isinstance(preset, higl_config.HiglConfig):
         return dataclasses.replace(
             preset,

@@ -21,7 +21,7 @@ class FlatState(struct.PyTreeNode):
 
     Attributes:
       learner: networks and optimisers.
-      memory: `base.Transition`s, with whether they count.
+      memory: `base.Transition`s.
       envs: environments with leading axis N.
       key: of what comes next.
       num_steps: int32, control steps of all environments so far.
@@ -109,9 +109,12 @@ class FlatDroq:
         return self._learner.act(policy["actor"], self.see(obs), key, deterministic=True), memory
 
     def see(self, obs: base.GoalObs) -> Float[Array, " F"]:
-        """Returns what the level sees: x and y from the arena's centre, the robot, the way left."""
-        xy = obs.xy - jnp.array(self._centre_xy)
-        return jnp.concatenate([xy, obs.proprioception, obs.goal_xy - obs.xy])
+        """Returns what the level sees: x and y from the arena's centre, the robot, the way left.
+
+        Positions are in cells: in units, they would drown the robot in the layer normalisation.
+        """
+        xy, left = obs.xy - jnp.array(self._centre_xy), obs.goal_xy - obs.xy
+        return jnp.concatenate([xy / base.CELL, obs.proprioception, left / base.CELL])
 
     def _iterate(self, state: FlatState, _: None) -> tuple[FlatState, tuple[dict, dict]]:
         """Takes one step in every environment, then learns, once the warm-up is over."""

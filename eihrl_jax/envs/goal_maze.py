@@ -120,10 +120,11 @@ class GoalMaze:
     def _state(self, walk: GoalWalk, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
         """Puts together what `reset` and `step` return."""
         steps = walk.nav.decisions.astype(jnp.float32)
+        xy, success = walk.physics.qpos[:2], task.success(self.course, walk.nav)
         obs = base.GoalObs(
-            xy=walk.physics.qpos[:2],
+            xy=xy,
             proprioception=jnp.concatenate([walk.physics.qpos[2:], walk.physics.qvel]),
-            goal_xy=task.current_goal_xy(self.course, walk.nav),
+            goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.course, walk.nav)),
             time=steps / base.TIME_UNIT,
         )
         return base.EnvState(
@@ -134,7 +135,7 @@ class GoalMaze:
             terminated=outcome.terminated,
             truncated=outcome.truncated,
             metrics={
-                "success": task.success(self.course, walk.nav),
+                "success": success,
                 "decisions": jnp.ceil(steps / self.robot.steps_per_subgoal),
                 "steps": steps,
                 "return": walk.total_reward,

@@ -83,6 +83,9 @@ def test_dense_reward_grows_on_the_way_and_stays_full_after_arrival():
     assert way == sorted(way) and 0.1 < way[0] < 1.0
     assert set(rewards[len(way) :]) == {1.0}
     assert not states[-1].terminated and states[-1].truncated
+    # Who has arrived can tell: the goal is where it is.
+    has_arrived = [bool((state.obs.goal_xy == state.obs.xy).all()) for state in states[1:]]
+    assert has_arrived == [reward == 1.0 for reward in rewards]
 
 
 def test_a_broken_simulation_terminates_and_a_fall_does_not(maze):

@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from eihrl_jax import base, robots
+from eihrl_jax import base, presets, robots
 from eihrl_jax.config import baselines as baselines_config
 from eihrl_jax.evaluation import results
 from experiments import compare_peers
@@ -21,6 +21,14 @@ def test_runs_are_named_as_the_report_finds_them_and_share_the_budget(method, tm
     assert (options.seed, options.num_steps, options.resume) == (2, 50_000, True)
     sparse = compare_peers.baseline_options(config, compare_peers.Run(method, "s", "sparse", 0))
     assert sparse.run == tmp_path / f"{method}-s-0"
+
+
+def test_droq_updates_its_actor_once_per_control_step(tmp_path):
+    config = compare_peers.CompareConfig(methods=("droq",), out=tmp_path)
+    shortened = compare_peers.baseline_options(config, compare_peers.Run("droq", "u", "dense", 0))
+    for options in (shortened, presets.BASELINES["droq"]):
+        assert isinstance(options, baselines_config.FlatConfig)
+        assert options.updates_per_step == options.learner.actor_period
 
 
 @pytest.mark.parametrize("num_steps", [1, 50_000, 100_000, 1_000_000])
