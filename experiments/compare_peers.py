@@ -167,13 +167,18 @@ def _shortened(preset: baselines_config.BaselineConfig) -> baselines_config.Base
             landmarks=dataclasses.replace(preset.landmarks, first_step=20_000),
         )
     assert isinstance(preset, hess_config.HessConfig)
-    exploration = dataclasses.replace(preset.exploration, first_episode=30, potential_episode=80)
     return dataclasses.replace(
         preset,
-        random_episodes=50,
+        num_envs=2,  # So that there are rounds enough where an episode is long.
+        log_rounds=5,
+        random_steps=30_000,
         capacity=200,
-        representation=dataclasses.replace(preset.representation, every=30, num_updates=10_000),
-        exploration=exploration,
+        representation=dataclasses.replace(
+            preset.representation, every=20_000, late_step=60_000, num_updates=10_000
+        ),
+        exploration=dataclasses.replace(
+            preset.exploration, first_step=20_000, potential_step=50_000
+        ),
     )
 
 

@@ -123,13 +123,21 @@ def _short_hess(preset: hess_config.HessConfig) -> hess_config.HessConfig:
     return dataclasses.replace(
         preset,
         num_steps=200_000,
-        random_episodes=50,
+        random_steps=30_000,
         controller=dataclasses.replace(
-            preset.controller, hidden=(128, 128), critic_hidden=(128, 128, 128), reward_scale=0.02
+            preset.controller,
+            hidden=(128, 128),
+            critic_hidden=(128, 128, 128),
+            updates_per_step=1 / 3,
+            reward_scale=0.02,
         ),
-        representation=dataclasses.replace(preset.representation, every=50, num_updates=10_000),
+        representation=dataclasses.replace(preset.representation, every=30_000, num_updates=10_000),
         exploration=dataclasses.replace(
-            preset.exploration, first_episode=50, potential_episode=100, success_weight=1.0
+            preset.exploration,
+            first_step=30_000,
+            potential_step=60_000,
+            every=6_000,
+            success_weight=1.0,
         ),
     )
 

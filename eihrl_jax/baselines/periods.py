@@ -103,15 +103,34 @@ def walk(
     return envs, period
 
 
-def paid(period: Period, costs_time: bool) -> Float[Array, "*T"]:
-    """Returns the task's rewards of steps that count, 0 of others; leading axes of the period.
+def has_arrived(period: Period, reward: base.Reward) -> Bool[Array, "*P k N"]:
+    """Tells whether the upper level's goal has been reached in the period, up to each step.
+
+    To a level that is told its goal, with sparse reward, reaching it is an end with the value of an
+    end, as in mazes with one goal: what follows has another goal. Dense reward goes on.
 
     Args:
-      period: what was walked.
-      costs_time: whether each step costs 1, which makes rewards of 1 and 0 those of 0 and -1.
+      period: what was walked; leading axes [*P, k, N].
+      reward: of the task.
     """
-    reward = period.reward - (1.0 if costs_time else 0.0)
-    return jnp.where(period.is_running, reward, 0.0)
+    if reward == "dense":
+        return jnp.zeros(period.is_running.shape, bool)
+    is_new_goal = (period.next_obs.goal_xy != period.obs.goal_xy).any(-1) & period.is_running
+    return jnp.cumsum(is_new_goal, axis=-2) > 0
+
+
+def paid(period: Period, costs_time: bool, reward: base.Reward) -> Float[Array, "*P k N"]:
+    """Returns the task's rewards of steps that count, 0 of others: see `has_arrived`.
+
+    Args:
+      period: what was walked; leading axes [*P, k, N].
+      costs_time: whether each step costs 1, which makes rewards of 1 and 0 those of 0 and -1.
+      reward: of the task.
+    """
+    arrived = has_arrived(period, reward).astype(jnp.float32)
+    was_there = jnp.concatenate([jnp.zeros_like(arrived[..., :1, :]), arrived[..., :-1, :]], -2) > 0
+    found = period.reward - (1.0 if costs_time else 0.0)
+    return jnp.where(period.is_running & ~was_there, found, 0.0)
 
 
 def summarise(period: Period) -> dict[str, Float[Array, ""]]:

@@ -47,7 +47,7 @@ class Ddpg:
       hidden: widths of the actor's hidden layers.
       critic_hidden: widths of the critic's.
       learning_rate: of Adam at the start.
-      half_life: episodes in which it halves, in steps.
+      half_life: control steps of all environments in which it halves, at once.
       critic_decay: weight of the critic's squared parameters, added to their gradient.
       max_grad_norm: to which gradients are clipped.
       gamma: discount per control step.
@@ -56,7 +56,7 @@ class Ddpg:
       noise: standard deviation of what is added to actions while exploring.
       random_share: share of actions that are drawn uniformly while exploring.
       batch_size: control steps per update.
-      updates_per_episode: updates per episode walked.
+      updates_per_step: updates per control step; released: 200 per episode of 500.
       reward_scale: of minus the distance to the subgoal.
       arrival: distance in the subgoal space at which the subgoal is reached.
     """
@@ -64,7 +64,7 @@ class Ddpg:
     hidden: tuple[int, ...] = (400, 400, 400, 400)
     critic_hidden: tuple[int, ...] = (400, 400, 400, 400, 400)
     learning_rate: float = 2e-4
-    half_life: int = 3_000
+    half_life: int = 1_500_000
     critic_decay: float = 1e-5
     max_grad_norm: float = 1.0
     gamma: float = 0.99
@@ -73,7 +73,7 @@ class Ddpg:
     noise: float = 0.2
     random_share: float = 0.2
     batch_size: int = 128
-    updates_per_episode: int = 200
+    updates_per_step: float = 0.4
     reward_scale: float = 0.1
     arrival: float = 0.1
 
@@ -91,7 +91,7 @@ class Ddpg:
         checks.in_range("noise", self.noise, 0.0)
         checks.in_range("random_share", self.random_share, 0.0, 1.0)
         checks.in_range("batch_size", self.batch_size, 1, 2**20)
-        checks.in_range("updates_per_episode", self.updates_per_episode, 1, 100_000)
+        checks.in_range("updates_per_step", self.updates_per_step, above=0.0, high=100.0)
         checks.in_range("reward_scale", self.reward_scale, above=0.0)
         checks.in_range("arrival", self.arrival, 0.0)
 
@@ -105,10 +105,10 @@ class Representation:
       learning_rate: of Adam.
       batch_size: of pairs, and of anchors, per update.
       num_updates: per block of training.
-      every: episodes between blocks.
-      stability: weight of the anchors up to `late_episode`.
+      every: control steps of all environments between blocks.
+      stability: weight of the anchors up to `late_step`.
       late_stability: weight after it.
-      late_episode: episodes until then.
+      late_step: control steps until then.
       anchored_share: share of the stored steps, those of the least loss, that are anchored.
       anchors: best: that share, as in the paper; rest: all but that share, as in the released code.
       stop_error: training stops once exploration's subgoals of an episode are missed by less, in
@@ -119,10 +119,10 @@ class Representation:
     learning_rate: float = 1e-4
     batch_size: int = 100
     num_updates: int = 50_000
-    every: int = 100
+    every: int = 50_000
     stability: float = 0.001
     late_stability: float = 0.1
-    late_episode: int = 500
+    late_step: int = 250_000
     anchored_share: float = 0.3
     anchors: Literal["best", "rest"] = "best"
     stop_error: float = 2.0
@@ -136,7 +136,7 @@ class Representation:
         checks.in_range("every", self.every, 1, 2**31 - 1)
         checks.in_range("stability", self.stability, 0.0)
         checks.in_range("late_stability", self.late_stability, 0.0)
-        checks.in_range("late_episode", self.late_episode, 0, 2**31 - 1)
+        checks.in_range("late_step", self.late_step, 0, 2**31 - 1)
         checks.in_range("anchored_share", self.anchored_share, above=0.0, high=1.0)
         checks.one_of("anchors", self.anchors, ("best", "rest"))
         checks.in_range("stop_error", self.stop_error, 0.0)
@@ -152,10 +152,10 @@ class Exploration:
       reach: distance in the subgoal space within which subgoals are chosen.
       num_candidates: stored states among which one is chosen.
       miss_weight: of the distances by which subgoals in a square were missed.
-      first_episode: episodes before exploration begins.
-      potential_episode: episodes before misses count and subgoals are extended.
+      first_step: control steps of all environments before exploration begins.
+      potential_step: control steps before misses count and subgoals are extended.
       extension: by how much, away from the robot.
-      every: episodes between computations of novelty.
+      every: control steps between computations of novelty.
       success_weight: of the success while training; the share is sigmoid(1 - 2 weight success).
     """
 
@@ -164,10 +164,10 @@ class Exploration:
     reach: float = 20.0
     num_candidates: int = 1_000
     miss_weight: float = 10.0
-    first_episode: int = 100
-    potential_episode: int = 400
+    first_step: int = 50_000
+    potential_step: int = 200_000
     extension: float = 5.0
-    every: int = 10
+    every: int = 5_000
     success_weight: float = 10.0
 
     def __post_init__(self) -> None:
@@ -177,8 +177,8 @@ class Exploration:
         checks.in_range("reach", self.reach, above=0.0)
         checks.in_range("num_candidates", self.num_candidates, 1, 1_000_000)
         checks.in_range("miss_weight", self.miss_weight, 0.0)
-        checks.in_range("first_episode", self.first_episode, 0, 2**31 - 1)
-        checks.in_range("potential_episode", self.potential_episode, 0, 2**31 - 1)
+        checks.in_range("first_step", self.first_step, 0, 2**31 - 1)
+        checks.in_range("potential_step", self.potential_step, 0, 2**31 - 1)
         checks.in_range("extension", self.extension, 0.0)
         checks.in_range("every", self.every, 1, 2**31 - 1)
         checks.in_range("success_weight", self.success_weight, 0.0)
@@ -188,14 +188,15 @@ class Exploration:
 class HessConfig(baselines.BaselineConfig):
     """HESS (Li et al. 2021): active exploration of a learned, stable subgoal space.
 
-    A round is one episode in every environment. A robot that has reached its goal rests until the
-    others' time is up.
+    The released schedules count episodes of 500 control steps; ours count control steps, for mazes
+    whose episodes are longer. A round is one episode in every environment. A robot that has reached
+    its goal rests until the others' time is up.
 
     Attributes:
       period: c, control steps per subgoal.
       capacity: episodes that the memory holds, a multiple of `num_envs`.
       high_capacity: subgoals in the manager's memory.
-      random_episodes: first episodes, in which the manager's subgoals are drawn uniformly.
+      random_steps: first control steps, in which the manager's subgoals are drawn uniformly.
       costs_time: whether each control step costs the manager 1, which makes rewards of 1 and 0
         those of 0 and -1 of the released code, and its targets are clipped to between minus the
         episode's steps and 0. Else entropy, of which the temperature makes up to 1.5 per subgoal,
@@ -209,7 +210,7 @@ class HessConfig(baselines.BaselineConfig):
     period: int = 50
     capacity: int = 1_000
     high_capacity: int = 48_000
-    random_episodes: int = 300
+    random_steps: int = 150_000
     costs_time: bool = True
     manager: Sac = Sac()
     controller: Ddpg = Ddpg()
@@ -223,4 +224,4 @@ class HessConfig(baselines.BaselineConfig):
         checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
         checks.in_range("high_capacity", self.high_capacity, 1, 2**31 - 1)
-        checks.in_range("random_episodes", self.random_episodes, 0, 2**31 - 1)
+        checks.in_range("random_steps", self.random_steps, 0, 2**31 - 1)

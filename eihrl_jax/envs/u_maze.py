@@ -43,6 +43,8 @@ class UWalk(struct.PyTreeNode):
       physics: the ant.
       goal_xy: float32 [2], units.
       has_arrived: whether it has been at the goal.
+      has_fallen: whether it has lain on the ground.
+      is_broken: whether its simulation has broken down.
       total_reward: float32, rewards of the episode so far.
       step: int32, control steps so far.
     """
@@ -50,12 +52,18 @@ class UWalk(struct.PyTreeNode):
     physics: engine_lib.PhysicsState
     goal_xy: Float[Array, "2"]
     has_arrived: Bool[Array, ""]
+    has_fallen: Bool[Array, ""]
+    is_broken: Bool[Array, ""]
     total_reward: Float[Array, ""]
     step: Int[Array, ""]
 
 
 class UMaze:
-    """The maze; metrics `success` (has been at the goal), `steps` (control steps), `return`."""
+    """The maze.
+
+    Metrics, so far in the episode: `success` has been at the goal, control `steps`, `return`, and 0
+    or 1 for `fell` and `broke_down`.
+    """
 
     side_xy = (20, 20)
 
@@ -94,6 +102,8 @@ class UMaze:
             physics=engine_lib.reset(qpos, physics.qvel),
             goal_xy=goal_xy,
             has_arrived=no,
+            has_fallen=no,
+            is_broken=no,
             total_reward=jnp.float32(0.0),
             step=jnp.int32(0),
         )
@@ -117,6 +127,8 @@ class UMaze:
             physics=physics,
             goal_xy=walk.goal_xy,
             has_arrived=walk.has_arrived | is_there,
+            has_fallen=walk.has_fallen | locomotion.is_fallen(physics.qpos, self.robot),
+            is_broken=is_broken,
             total_reward=walk.total_reward + reward,
             step=step,
         )
@@ -152,6 +164,8 @@ def _state(
             "success": walk.has_arrived.astype(jnp.float32),
             "steps": steps,
             "return": walk.total_reward,
+            "fell": walk.has_fallen.astype(jnp.float32),
+            "broke_down": walk.is_broken.astype(jnp.float32),
         },
         key=key,
     )

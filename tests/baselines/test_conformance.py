@@ -35,16 +35,16 @@ def small_options(method):
             "period": 10,
             "capacity": 8,
             "high_capacity": 400,
-            "random_episodes": 2,
+            "random_steps": 100,
             "manager": hess_config.Sac(hidden=(16, 16), batch_size=8),
             "controller": hess_config.Ddpg(
-                hidden=(16,), critic_hidden=(16,), batch_size=8, updates_per_episode=2
+                hidden=(16,), critic_hidden=(16,), batch_size=8, updates_per_step=0.04
             ),
             "representation": hess_config.Representation(
-                hidden=(8,), batch_size=8, num_updates=3, every=4
+                hidden=(8,), batch_size=8, num_updates=3, every=200
             ),
             "exploration": hess_config.Exploration(
-                num_candidates=8, first_episode=2, potential_episode=4, every=4
+                num_candidates=8, first_step=100, potential_step=200, every=200
             ),
         }
     return {

@@ -240,7 +240,7 @@ class Jump(sled.Sled):
 
 
 @functools.cache
-def after_a_round(engine, first_episode):
+def after_a_round(engine, first_step):
     """Returns HESS's state after an episode of two robots; from then on nearly all is explored."""
     env = goal_maze.GoalMaze(engine(), mazes.parse("####\n#S1#\n####\n", num_decisions=4))
     options = config.HessConfig(
@@ -250,8 +250,8 @@ def after_a_round(engine, first_episode):
         capacity=4,
         high_capacity=4,
         manager=config.Sac(hidden=(4,)),
-        controller=config.Ddpg(hidden=(4,), critic_hidden=(4,), updates_per_episode=1),
-        exploration=config.Exploration(first_episode=first_episode, success_weight=0.0),
+        controller=config.Ddpg(hidden=(4,), critic_hidden=(4,), updates_per_step=0.05),
+        exploration=config.Exploration(first_step=first_step, success_weight=0.0),
     )
     hess = system.Hess(env, 8, (12, 9), 20, options)
     return jax.jit(hess.advance)(hess.init(jax.random.key(0)))[0]

@@ -43,7 +43,12 @@ class Learning:
     """
 
     def __init__(
-        self, num_seen: int, num_actions: int, episode_steps: int, options: config_lib.HessConfig
+        self,
+        num_seen: int,
+        num_actions: int,
+        episode_steps: int,
+        steps_per_round: int,
+        options: config_lib.HessConfig,
     ):
         """Builds networks and optimisers.
 
@@ -51,10 +56,12 @@ class Learning:
           num_seen: size F of what both levels see.
           num_actions: size A of the controller's action.
           episode_steps: control steps of an episode.
+          steps_per_round: control steps of all environments in a round.
           options: of the run.
         """
         self._options = options
         self._num_seen = num_seen
+        self._steps_per_round = steps_per_round
         size = representation.NUM_SUBGOAL
         floor = -float(episode_steps) if options.costs_time else None
         self.manager = levels.Sac(num_seen + 2, size, options.manager, floor)
@@ -83,7 +90,7 @@ class Learning:
         learned: Learned,
         episodes: memory.Episodes,
         high_memory: replay.Replay,
-        num_episodes: Int[Array, ""],
+        num_steps: Int[Array, ""],
         num_subgoals: int,
         key: Key[Array, ""],
     ) -> tuple[Learned, dict[str, Float[Array, ""]]]:
@@ -93,7 +100,7 @@ class Learning:
           learned: what is learned so far.
           episodes: whole episodes.
           high_memory: `SubgoalRow`s.
-          num_episodes: episodes so far.
+          num_steps: control steps of all environments so far.
           num_subgoals: of the round, as many as there are updates of the manager.
           key: consumed.
 
@@ -101,9 +108,7 @@ class Learning:
           What is learned now, and means of what the learners tell.
         """
         low_key, high_key = jax.random.split(key)
-        controller, low = self._learn_controller(
-            learned.controller, episodes, num_episodes, low_key
-        )
+        controller, low = self._learn_controller(learned.controller, episodes, num_steps, low_key)
         manager, high = self._learn_manager(learned.manager, high_memory, num_subgoals, high_key)
         metrics = {f"controller/{name}": value.mean() for name, value in low.items()}
         metrics |= {f"manager/{name}": value.mean() for name, value in high.items()}
@@ -113,7 +118,7 @@ class Learning:
         self,
         learned: Learned,
         episodes: memory.Episodes,
-        num_episodes: Int[Array, ""],
+        num_steps: Int[Array, ""],
         miss: Float[Array, ""],
         key: Key[Array, ""],
     ) -> tuple[Learned, Float[Array, ""]]:
@@ -122,10 +127,10 @@ class Learning:
         Once trained, it is frozen as soon as `miss`, see `HessState`, is little.
         """
         options = self._options.representation
-        before = num_episodes - self._options.num_envs
-        is_due = num_episodes // options.every > before // options.every
+        before = num_steps - self._steps_per_round
+        is_due = num_steps // options.every > before // options.every
         stability = jnp.where(
-            num_episodes > options.late_episode, options.late_stability, options.stability
+            num_steps > options.late_step, options.late_stability, options.stability
         )
         space, loss = jax.lax.cond(
             is_due & ~learned.space.is_frozen,
@@ -158,14 +163,14 @@ class Learning:
         self,
         controller: levels.LevelState,
         episodes: memory.Episodes,
-        num_episodes: Int[Array, ""],
+        num_steps: Int[Array, ""],
         key: Key[Array, ""],
     ) -> tuple[levels.LevelState, dict[str, Float[Array, " U"]]]:
         options = self._options.controller
-        count = options.updates_per_episode * self._options.num_envs
+        count = max(1, round(options.updates_per_step * self._steps_per_round))
         # Drawn at once, outside the loop over updates: XLA would copy the memory into that loop.
         steps = memory.sample(episodes, (count, options.batch_size), key)
-        halvings = num_episodes // options.half_life
+        halvings = num_steps // options.half_life
         rate = jnp.exp2(-halvings.astype(jnp.float32))
 
         def body(

@@ -30,10 +30,9 @@ class HessState(struct.PyTreeNode):
       high_memory: `learning.SubgoalRow`s.
       envs: environments with leading axis N.
       key: of what comes next.
-      success: float32, of recent episodes.
+      success: float32, share of recent episodes in which all goals were visited.
       miss: float32, by how much exploration's subgoals of an episode were missed in sum, recently,
         in the subgoal space; inf: it hasn't begun.
-      num_episodes: int32, episodes of all environments so far.
       num_steps: int32, control steps of all environments so far.
     """
 
@@ -45,7 +44,6 @@ class HessState(struct.PyTreeNode):
     key: Key[Array, ""]
     success: Float[Array, ""]
     miss: Float[Array, ""]
-    num_episodes: Int[Array, ""]
     num_steps: Int[Array, ""]
 
 
@@ -95,7 +93,9 @@ class Hess:
         obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
         num_seen = jax.eval_shape(self.see, obs).shape[0]
         self._sizes = num_seen, num_actions
-        self._learning = learning.Learning(num_seen, num_actions, episode_steps, options)
+        self._learning = learning.Learning(
+            num_seen, num_actions, episode_steps, self.steps_per_round, options
+        )
 
     def init(self, key: Key[Array, ""]) -> HessState:
         """Returns the state of a run that is about to start, its memories still empty."""
@@ -113,7 +113,6 @@ class Hess:
             key=key,
             success=jnp.float32(0.0),
             miss=jnp.float32(jnp.inf),
-            num_episodes=jnp.int32(0),
             num_steps=jnp.int32(0),
         )
 
@@ -130,7 +129,6 @@ class Hess:
             envs=envs,
             key=key,
             num_steps=state.num_steps + self.steps_per_round,
-            num_episodes=state.num_episodes + self.options.num_envs,
         )
         state = self._remember(state, walked)
         num_subgoals = self.options.num_envs * self._num_periods
@@ -138,12 +136,12 @@ class Hess:
             state.learned,
             state.episodes,
             state.high_memory,
-            state.num_episodes,
+            state.num_steps,
             num_subgoals,
             learn_key,
         )
         learned, metrics["representation_loss"] = self._learning.train_space(
-            learned, state.episodes, state.num_episodes, state.miss, space_key
+            learned, state.episodes, state.num_steps, state.miss, space_key
         )
         state = state.replace(learned=learned)
         state = state.replace(squares=self._look_ahead(state))
@@ -189,7 +187,7 @@ class Hess:
         """Returns the share of subgoals that exploration chooses."""
         options = self.options.exploration
         share = jax.nn.sigmoid(1.0 - 2.0 * options.success_weight * state.success)
-        return jnp.where(state.num_episodes >= options.first_episode, share, 0.0)
+        return jnp.where(state.num_steps >= options.first_step, share, 0.0)
 
     def _walk_round(
         self, state: HessState, key: Key[Array, ""]
@@ -242,11 +240,11 @@ class Hess:
         )
         reach = self.options.manager.reach
         drawn = jax.random.uniform(any_key, own.shape, minval=-reach, maxval=reach)
-        own = jnp.where(state.num_episodes < self.options.random_episodes, drawn, own)
+        own = jnp.where(state.num_steps < self.options.random_steps, drawn, own)
 
         drawn_steps = memory.sample(state.episodes, (options.num_candidates,), draw_key)
         candidates = self._learning.space.place(params, drawn_steps.obs)
-        has_potential = state.num_episodes >= options.potential_episode
+        has_potential = state.num_steps >= options.potential_step
         chosen = exploration.select(
             state.squares, here, candidates, has_potential, options, select_key
         )
@@ -276,8 +274,9 @@ class Hess:
         distance = jnp.sqrt(jnp.square(batch.subgoal - reached).sum(-1))
         distance = jnp.where(is_selected, distance, 0.0)
         squares = exploration.miss(squares, chosen[..., 4:6], distance, square)
-        ends = periods.summarise(walked)
-        success = ends["sum_success"] / jnp.maximum(ends["episodes"], 1.0)
+        is_end = walked.is_running & (walked.terminated | walked.truncated)
+        num_solved = (is_end & (walked.metrics["success"] == 1.0)).sum(dtype=jnp.float32)
+        success = num_solved / jnp.maximum(is_end.sum(dtype=jnp.float32), 1.0)
         return state.replace(
             squares=squares,
             episodes=memory.add(state.episodes, batch),
@@ -291,18 +290,21 @@ class Hess:
         """Returns `HessState.miss` after a round, whose episodes' mean is `miss`."""
         is_first = ~jnp.isfinite(state.miss)
         recent = jnp.where(is_first, miss, (1.0 - _RECENT) * state.miss + _RECENT * miss)
-        before = state.num_episodes - self.options.num_envs
-        has_explored = before >= self.options.exploration.first_episode
+        before = state.num_steps - self.steps_per_round
+        has_explored = before >= self.options.exploration.first_step
         return jnp.where(has_explored, recent, state.miss)
 
     def _look_ahead(self, state: HessState) -> exploration.ExplorationState:
         """Computes the novelty of places anew where that is due."""
         options = self.options.exploration
-        before = state.num_episodes - self.options.num_envs
+        before = state.num_steps - self.steps_per_round
+        is_due = state.num_steps // options.every > before // options.every
+        # Before anything has been counted, places that hold much would be the least novel ones.
+        is_due &= state.squares.visits.any()
         obs, is_there = memory.period_ends(state.episodes)
         place = self._learning.space.place(state.learned.space.params, obs)
         return jax.lax.cond(
-            state.num_episodes // options.every > before // options.every,
+            is_due,
             lambda squares: exploration.look_ahead(squares, place, is_there, options),
             lambda squares: squares,
             state.squares,
@@ -332,13 +334,14 @@ class Hess:
         last = jax.tree.map(lambda leaf: leaf[:, -1], walked.next_obs)
         # A simulation that breaks down is no end without a value: nothing costs less.
         has_broken = walked.metrics["broke_down"][:, -1] > 0.0
-        ends = (walked.terminated[:, -1] & ~has_broken).astype(jnp.float32)
+        has_arrived = periods.has_arrived(walked, self.options.reward)
+        ends = (walked.terminated[:, -1] | has_arrived[:, -1]) & ~has_broken
         rows = learning.SubgoalRow(
             transition=base.Transition(
                 obs=see(first),
                 action=walked.subgoal[:, 0, :, 2:4],
-                reward=periods.paid(walked, self.options.costs_time).sum(1),
-                discount=self.options.manager.gamma * (1.0 - ends),
+                reward=periods.paid(walked, self.options.costs_time, self.options.reward).sum(1),
+                discount=self.options.manager.gamma * (1.0 - ends.astype(jnp.float32)),
                 next_obs=see(last),
             ),
             is_running=walked.is_running[:, 0],

@@ -26,7 +26,7 @@ class SubgoalRow(struct.PyTreeNode):
       reward: float32, of the task.
       next_obs: float32 [F], after the last step.
       next_goal_xy: float32 [2], the task's goal after it.
-      terminated: whether the episode ended for good.
+      terminated: whether the episode ended for good, or the goal was reached.
       truncated: whether its time was up.
     """
 

@@ -214,16 +214,19 @@ class Higl:
             is_end=walked.terminated | walked.truncated,
             is_running=walked.is_running,
         )
+        has_arrived = periods.has_arrived(walked, self.options.reward)
+        # A simulation that breaks down is no end without a value: nothing costs less.
+        has_broken = walked.metrics["broke_down"][:, -1] > 0.0
         subgoals = relabelling.SubgoalRow(
             obs=obs.swapaxes(1, 2),
             action=walked.action.swapaxes(1, 2),
             is_running=walked.is_running.swapaxes(1, 2),
             subgoal=walked.subgoal[:, 0],
             goal_xy=jax.vmap(jax.vmap(self._centred))(walked.obs.goal_xy[:, 0]),
-            reward=periods.paid(walked, self.options.costs_time).sum(1),
+            reward=periods.paid(walked, self.options.costs_time, self.options.reward).sum(1),
             next_obs=next_obs[:, -1],
             next_goal_xy=jax.vmap(jax.vmap(self._centred))(walked.next_obs.goal_xy[:, -1]),
-            terminated=walked.terminated[:, -1],
+            terminated=(walked.terminated[:, -1] & ~has_broken) | has_arrived[:, -1],
             truncated=walked.truncated[:, -1],
         )
         return _flat(steps, 3), _flat(subgoals, 2)
