@@ -54,9 +54,9 @@ def save(folder: pathlib.Path, step: int, state: Any, *, keep: int = KEEP) -> pa
     return path
 
 
-def is_any(folder: pathlib.Path) -> bool:
-    """Tells whether a run's folder of checkpoints holds one."""
-    return bool(_steps(folder))
+def last_step(folder: pathlib.Path) -> int | None:
+    """Returns the step of the last complete checkpoint of a run, or None where there is none."""
+    return max(_steps(folder), default=None)
 
 
 def restore(folder: pathlib.Path, template: Any) -> tuple[int, Any] | None:
@@ -75,7 +75,13 @@ def restore(folder: pathlib.Path, template: Any) -> tuple[int, Any] | None:
     steps = _steps(folder)
     if not steps:
         return None
-    return steps[-1], read(folder / f"{steps[-1]:012d}", template)
+    try:
+        return steps[-1], read(folder / f"{steps[-1]:012d}", template)
+    except base.UserError as error:
+        if len(steps) == 1:
+            raise
+        before = f"without that folder, the run goes on from step {steps[-2]}"
+        raise base.UserError(f"{error}; {before}") from None
 
 
 def write(

@@ -66,18 +66,20 @@ def _parse(
 ) -> ConfigT:
     """Parses the arguments; `--help` shows the defaults of the chosen preset."""
     messages = io.StringIO()
+    parsed_type: type[ConfigT] = config_type
     parse = functools.partial(tyro.cli, config_type, args=arguments, prog=_program())
     if presets:
         default = presets[_chosen(presets, arguments, option)]
+        parsed_type = type(default)
         parse = functools.partial(
-            tyro.cli, type(default), default=default, args=arguments, prog=_program()
+            tyro.cli, parsed_type, default=default, args=arguments, prog=_program()
         )
     try:
         with contextlib.redirect_stderr(messages):
             return parse()
     except SystemExit as end:
         if end.code:
-            _fail(_one_line(messages.getvalue()).removeprefix(f"{config_type.__name__}: "))
+            _fail(_one_line(messages.getvalue()).removeprefix(f"{parsed_type.__name__}: "))
         raise
 
 

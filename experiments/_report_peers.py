@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from eihrl_jax import base, robots
+from eihrl_jax import base, mazes, robots
 from eihrl_jax.evaluation import curves, page, results, tables
 from experiments import _runs
 
@@ -37,6 +37,9 @@ _UNITS = {"success": ("success, %", 100.0), "reward": ("reward per step", 1.0)}
 _STYLES = ("ours, walking", "ours, oracle", "flat DroQ", "HIGL", "HESS", RAND_H, LONG)
 """Order in which lines are given to labels: those of one colour belong together."""
 
+_SPENT = 0.9
+"""Share of the greatest budget from which on a run's budget is spent: rows differ in length."""
+
 Curve = Float[np.ndarray, "N 2"]
 
 
@@ -55,7 +58,7 @@ def section(
     """
     pictures, at_the_end = [], []
     if peers is not None:
-        for maze, reward in itertools.product(_runs.MAZES, base.REWARDS):
+        for maze, reward in itertools.product(mazes.NAMES, base.REWARDS):
             pictures += _pictures(long, peers, maze, reward, out)
         if not pictures:
             raise base.UserError(f"peers = {peers} holds no <method>-<maze>-<seed>")
@@ -74,19 +77,20 @@ def section(
 def _at_the_end(peers: pathlib.Path, reward: base.Reward) -> tables.Table:
     """Compares the last evaluations of all methods, their mean and range over seeds."""
     found: dict[str, dict[str, str]] = {}
-    for maze in _runs.MAZES:
+    for maze in mazes.NAMES:
         drawn = _at_equal_budgets(peers, _runs.task(maze, reward), "success", _by_steps)
         for label, lines in drawn.items():
             last = 100.0 * np.array([line[-1, 1] for line in lines])
             text = f"{last.mean():.0f} ({last.min():.0f} to {last.max():.0f}), {len(last)}"
             found.setdefault(label, {})[maze] = text
+    shown = [maze for maze in mazes.NAMES if any(maze in cells for cells in found.values())]
     rows = [
-        [label, *(found[label].get(maze, "-") for maze in _runs.MAZES)]
+        [label, *(found[label].get(maze, "-") for maze in shown)]
         for label in (*LINES, RAND_H)
         if label in found
     ]
     title = f"Success in % when the budget is spent, {reward} reward: mean (range), seeds"
-    return tables.Table(title, ["method", *_runs.MAZES], rows)
+    return tables.Table(title, ["method", *shown], rows)
 
 
 def _pictures(
@@ -135,10 +139,36 @@ def _lines(
 ) -> dict[str, list[Curve]]:
     """Reads the curves of each method in a task, one per seed."""
     found = {}
-    for label, (method, name) in LINES.items():
-        if files := sorted(folder.glob(f"{method}-{task}-[0-9]*/metrics.csv")):
-            found[label] = [read(file, f"{name}/{y}") for file in files]
+    for label, files in _finished(folder, task).items():
+        if lines := [line for file in files if len(line := read(file, f"{LINES[label][1]}/{y}"))]:
+            found[label] = lines
     return found
+
+
+def _finished(folder: pathlib.Path, task: str) -> dict[str, list[pathlib.Path]]:
+    """Lists the metrics of each method in a task that have spent the greatest budget of them all.
+
+    What hasn't been evaluated near there yet is still being trained, and left out.
+    """
+    ends: dict[str, dict[pathlib.Path, float]] = {}
+    for label, (method, name) in LINES.items():
+        for file in sorted(folder.glob(f"{method}-{task}-[0-9]*/metrics.csv")):
+            if _is_evaluated(file, name):
+                end = float(_by_steps(file, f"{name}/success")[-1, 0])
+                ends.setdefault(label, {})[file] = end
+    spent = _SPENT * max((end for files in ends.values() for end in files.values()), default=0.0)
+    return {
+        label: [file for file, end in files.items() if end >= spent]
+        for label, files in ends.items()
+    }
+
+
+def _is_evaluated(file: pathlib.Path, name: str) -> bool:
+    """Tells whether a run has been evaluated; its file may be empty until then."""
+    if f"{name}/success" not in curves.columns(file):
+        return False
+    with file.open(newline="") as text:
+        return any(row[f"{name}/success"] for row in csv.DictReader(text))
 
 
 def _flat(
@@ -156,28 +186,24 @@ def _flat(
 
 def _by_steps(file: pathlib.Path, y: str) -> Curve:
     """Reads a curve against control steps."""
-    if not _has(file, "num_decisions"):
+    if "num_decisions" not in curves.columns(file):
         return curves.read(file, "step", y)
     return curves.read(file, "num_decisions", y) * [robots.load("ant").steps_per_subgoal, 1.0]
 
 
 def _by_episodes(file: pathlib.Path, y: str) -> Curve:
-    """Reads a curve against the episodes that had ended."""
-    with file.open(newline="") as text:
-        rows = list(csv.DictReader(text))
-    if _has(file, "episodes"):
-        ended = np.array([float(row["episodes"]) for row in rows])
+    """Reads a curve against the episodes that had ended, from the first one on."""
+    if "episodes" in curves.columns(file):
+        x = "step"
+        done, ended = curves.read(file, x, "episodes").T
     else:
         # Shipped metrics: what was decided since the last row, over the mean length of what ended.
-        decided = np.diff([float(row["num_decisions"]) for row in rows], prepend=0.0)
-        ended = decided / [float(row["decisions"]) for row in rows]
-    points = zip(np.cumsum(ended), (row[y] for row in rows), strict=True)
-    return np.array([(x, float(value)) for x, value in points if value])
-
-
-def _has(file: pathlib.Path, column: str) -> bool:
-    with file.open() as text:
-        return column in text.readline().strip().split(",")
+        x = "num_decisions"
+        done, length = curves.read(file, x, "decisions").T
+        ended = np.diff(done, prepend=0.0) / length
+    found = curves.read(file, x, y)
+    found[:, 0] = np.interp(found[:, 0], done, np.cumsum(ended))
+    return found[found[:, 0] > 0.0]
 
 
 _AXES: dict[str, Callable[[pathlib.Path, str], Curve]] = {

@@ -128,12 +128,14 @@ def random_options(config: CompareConfig, run: Run) -> evaluate_config.EvaluateC
 
 def baseline_options(config: CompareConfig, run: Run) -> baselines_config.BaselineConfig:
     """Returns the options of a run of `train_baseline`."""
+    options = _shortened(presets.BASELINES[run.method])
     return dataclasses.replace(
-        _shortened(presets.BASELINES[run.method]),
+        options,
         maze=run.maze,
         reward=run.reward,
         seed=run.seed,
         num_steps=config.num_steps,
+        checkpoint_every=1 if run.method == "hess" else options.checkpoint_every,
         run=run.folder(config),
         resume=True,
     )

@@ -66,6 +66,9 @@ def main(config: ReportConfig) -> None:
     found = [_report_parts.PARTS[part](runs) for part in config.parts]
     sections = [section for section in found if section.tables or section.pictures]
     if not sections:
+        for part, folders in (("peers", config.peers), ("ablations", config.ablations)):
+            if config.parts == (part,) and not folders:
+                raise base.UserError(f"parts = {part} needs --{part}, a folder of runs")
         raise base.UserError(f"policies = {runs.folder} holds no <preset>-<maze>-<seed>")
     config.out.mkdir(parents=True, exist_ok=True)
     page.write(config.out / "report.html", "Zero-shot navigation", comparison.NOTE, sections)

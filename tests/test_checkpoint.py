@@ -129,6 +129,15 @@ def test_manifest_of_another_format(saved, state):
         checkpoint.restore(saved.parent, state)
 
 
+def test_a_damaged_last_checkpoint_tells_which_one_is_left(tmp_path, state):
+    for step in (1, 2):
+        checkpoint.save(tmp_path, step, state)
+    (tmp_path / f"{2:012d}" / "manifest.json").write_text("{")
+    with pytest.raises(base.UserError, match=r"damaged.* the run goes on from step 1"):
+        checkpoint.restore(tmp_path, state)
+    assert checkpoint.last_step(tmp_path) == 2
+
+
 def test_another_network_size_is_named(saved, state):
     wider = {"dense": {"kernel": jnp.zeros((3, 8)), "bias": jnp.zeros(8)}}
     with pytest.raises(base.UserError, match=r"bias is float32\[4\], expected float32\[8\]"):

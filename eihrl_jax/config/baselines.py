@@ -52,7 +52,7 @@ class BaselineConfig:
     num_steps: int = 1_000_000
     log_rounds: int = 10
     evaluate_every: int = 4
-    checkpoint_every: int = 20
+    checkpoint_every: int = 4
     num_eval_episodes: int = 50
 
 
@@ -68,6 +68,7 @@ class FlatConfig(BaselineConfig):
       learner: hyper-parameters of DroQ.
     """
 
+    checkpoint_every: int = 20  # Its memory is large, its rows are short.
     warmup_steps: int = 5_000
     iterations_per_round: int = 10
     updates_per_step: int = 20

@@ -212,9 +212,10 @@ class HiglConfig(baselines.BaselineConfig):
         checks.in_range("num_candidates", self.num_candidates, 1, 1_000)
         checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
         checks.in_range("high_capacity", self.high_capacity, 1, 2**31 - 1)
-        checks.divides("steps per round", self.steps_per_round, "capacity", self.capacity)
-        subgoals = self.steps_per_round // self.period
-        checks.divides("subgoals per round", subgoals, "high_capacity", self.high_capacity)
+        subgoals = self.num_envs * self.periods_per_round
+        name = "num_envs * periods_per_round"
+        checks.divides(f"{name} * period", self.steps_per_round, "capacity", self.capacity)
+        checks.divides(name, subgoals, "high_capacity", self.high_capacity)
         if self.num_high_updates < 1:
             raise base.UserError(
                 f"updates_per_step = {self.updates_per_step} gives the manager no update in a "

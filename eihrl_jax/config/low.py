@@ -103,7 +103,8 @@ class Droq:
         """Checks ranges."""
         checks.widths("hidden", self.hidden, least=2)
         for width in self.hidden:
-            checks.divides("2", 2, "hidden", width)
+            if width % 2:
+                raise base.UserError(f"hidden = {width} must be even")
         checks.in_range("num_critics", self.num_critics, 1, 100)
         checks.in_range("dropout", self.dropout, 0.0, below=1.0)
         checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)

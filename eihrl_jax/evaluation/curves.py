@@ -21,6 +21,19 @@ _MARKERS = "os^DvPX"
 _NUM_MARKERS = 3
 
 
+def columns(path: pathlib.Path) -> tuple[str, ...]:
+    """Returns the names of a `metrics.csv`'s columns; none if the file is empty.
+
+    Raises:
+      base.UserError: the file can't be read.
+    """
+    try:
+        with path.open(newline="") as file:
+            return tuple(csv.DictReader(file).fieldnames or ())
+    except (OSError, ValueError) as error:
+        raise base.UserError(f"{path} can't be read: {error}") from None
+
+
 def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
     """Reads two columns of a `metrics.csv`, leaving out rows in which either is empty or nan.
 
@@ -34,8 +47,7 @@ def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
     """
     try:
         with path.open(newline="") as file:
-            reader = csv.DictReader(file)
-            rows = [(row[x], row[y]) for row in reader]
+            rows = [(row[x], row[y]) for row in csv.DictReader(file)]
         points = np.array([pair for pair in rows if all(pair)], float).reshape(-1, 2)
         points = points[np.isfinite(points).all(1)]
     except KeyError as error:
@@ -142,6 +154,7 @@ def save_spread(
         bbox_to_anchor=(0.0, 1.0),
         fontsize=8,
         ncols=4,
+        handlelength=3.0,  # so that a broken line shows as one
     )
     write(axes, path)
 

@@ -1,6 +1,7 @@
 """Training of the baselines: walk, learn, evaluate, checkpoint, whatever the method."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -8,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from eihrl_jax import base, mazes, policies, robots
+from eihrl_jax import base, checkpoint, mazes, policies, robots
 from eihrl_jax.baselines import system as system_lib
 from eihrl_jax.config import baselines as config_lib
 from eihrl_jax.envs import goal_maze, wrappers
@@ -78,6 +79,11 @@ def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
       base.UserError: the run folder is not as it should be.
     """
     system, per_row = arena.system, arena.system.steps_per_round * config.log_rounds
+    walked = checkpoint.last_step(config.run / run_folder.CHECKPOINTS) or 0
+    if config.resume and walked - per_row >= config.num_steps:
+        raise base.UserError(
+            f"num_steps = {config.num_steps} is less than {config.run} has walked: {walked}"
+        )
     with run_folder.RunFolder.create(
         config.run, config, resume=config.resume, may_change={"num_steps"}
     ) as run:
@@ -159,7 +165,11 @@ def _compile(
 def _shown(row: dict[str, float]) -> dict[str, float]:
     """Picks what the progress bar shows."""
     names = {"eval/success": "success", "success": "while exploring"}
-    return {short: row[name] for name, short in names.items() if name in row}
+    return {
+        short: row[name]
+        for name, short in names.items()
+        if name in row and math.isfinite(row[name])
+    }
 
 
 def _finish(

@@ -240,7 +240,7 @@ def train(config: low_config.LowConfig) -> None:
       base.UserError: an option or the run folder is not as it should be.
     """
     trainer = LowTrainer(config)
-    if not checkpoint.is_any(config.run / run_folder.CHECKPOINTS):
+    if checkpoint.last_step(config.run / run_folder.CHECKPOINTS) is None:
         _check_start(config)
     with run_folder.RunFolder.create(
         config.run, config, resume=config.resume, may_change={"num_iterations"}
@@ -285,7 +285,7 @@ def train(config: low_config.LowConfig) -> None:
 def _check_start(config: low_config.LowConfig) -> None:
     """Makes sure that the run with which this one begins, if any, has a state to begin with."""
     start = config.start_from
-    if start is not None and not checkpoint.is_any(start / run_folder.CHECKPOINTS):
+    if start is not None and checkpoint.last_step(start / run_folder.CHECKPOINTS) is None:
         raise base.UserError(f"start_from = {start} holds no checkpoint")
 
 

@@ -16,6 +16,7 @@ import json
 import math
 import os
 import pathlib
+import sys
 from collections.abc import Collection, Mapping
 from typing import Any, TextIO
 
@@ -124,6 +125,8 @@ class RunFolder:
         restored = checkpoint.restore(self.path / CHECKPOINTS, template)
         step = -1 if restored is None else restored[0]
         if jax.process_index() == 0:
+            if restored is None and (self.path / _METRICS).is_file():
+                print(f"{self.path} has no checkpoint yet: the run begins anew", file=sys.stderr)
             self._columns = _drop_rows_after(self.path / _METRICS, step)
             self._first_step = step + 1
         return restored
@@ -188,11 +191,19 @@ def _check_same_options(file: pathlib.Path, options: Any, may_change: Collection
     """Checks a run's options; those that are newer than the run count as left at their defaults."""
     text = file.read_text()
     try:
-        json.loads(text)
+        stored = json.loads(text)
     except ValueError:
         raise base.UserError(f"{file} is damaged: no JSON") from None
+    new = json.loads(config.to_json(options))
+    if isinstance(stored, dict):
+        # What both know comes first: runs of two methods differ in their options, too.
+        shared = {name: stored[name] for name in new if name in stored}
+        _check_unchanged(file, {name: new[name] for name in shared}, shared, may_change)
     old = config.from_json(type(options), text, source=str(file))
-    new, old = (json.loads(config.to_json(each)) for each in (options, old))
+    _check_unchanged(file, new, json.loads(config.to_json(old)), may_change)
+
+
+def _check_unchanged(file: pathlib.Path, new: Any, old: Any, may_change: Collection[str]) -> None:
     for name, value, old_value in _differences(new, old, ""):
         if name not in may_change:
             started = f"{file.parent} was started with {name} = {old_value!r}"
@@ -242,7 +253,10 @@ def _drop_rows_after(file: pathlib.Path, step: int) -> list[str]:
     lines = [line for line in file.read_text().splitlines(keepends=True) if line.endswith("\n")]
     if not lines:
         return []
-    kept = [line for line in lines[1:] if int(line.partition(",")[0]) <= step]
+    try:
+        kept = [line for line in lines[1:] if int(line.partition(",")[0]) <= step]
+    except ValueError:
+        raise base.UserError(f"{file} is damaged: a row doesn't begin with a number") from None
     if not kept:
         file.unlink()
         return []

@@ -110,6 +110,10 @@ def test_resuming_changes_nothing(finished, maze, tmp_path):
     half = finished.num_steps // 2
     baselines.train(dataclasses.replace(finished, run=run, num_steps=half))
     baselines.train(dataclasses.replace(finished, run=run, resume=True))
+    written = (run / "config.json").read_text()
+    with pytest.raises(base.UserError, match=r"num_steps = 1 is less than .* has walked: \d+"):
+        baselines.train(dataclasses.replace(finished, run=run, resume=True, num_steps=1))
+    assert (run / "config.json").read_text() == written
     arena = baselines.make_arena(finished)
     template = jax.eval_shape(arena.system.init, jax.random.key(0))
     states = [checkpoint.restore(path / "checkpoints", template)[1] for path in (finished.run, run)]

@@ -124,7 +124,7 @@ def test_ends_are_those_of_periods_that_there_were():
 
 def test_the_controller_is_paid_for_the_distance_and_its_task_ends_at_the_subgoal():
     options = config.HessConfig(controller=dataclasses.replace(DDPG, reward_scale=0.1))
-    learner = learning.Learning(1, 1, 10, options)
+    learner = learning.Learning(1, 1, 10, 100, options)
     steps = memory.Steps(
         obs=jnp.zeros((3, 1)),
         place=jnp.array([[0.0, 0.0], [2.95, 4.0], [3.0, 4.0]]),
@@ -215,11 +215,11 @@ def test_the_newest_place_within_reach_is_chosen_unless_it_was_missed():
 )
 def test_a_trained_subgoal_space_is_frozen_once_little_is_missed(miss, num_blocks, frozen):
     options = config.HessConfig(method="hess", capacity=10, manager=SAC, controller=DDPG)
-    learner = learning.Learning(2, 1, 100, options)
+    learner = learning.Learning(2, 1, 100, 1_000, options)
     learned = learner.init(100, jax.random.key(0))
     learned = learned.replace(space=learned.space.replace(num_blocks=jnp.int32(num_blocks)))
     episodes = memory.init(10, 50, 2, (2, 1))
-    args = learned, episodes, jnp.int32(110), jnp.float32(miss), jax.random.key(1)
+    args = learned, episodes, jnp.int32(51_000), jnp.float32(miss), jax.random.key(1)
     found, _ = jax.jit(learner.train_space)(*args)
     assert bool(found.space.is_frozen) == frozen
 
@@ -251,7 +251,7 @@ def after_a_round(engine, first_step):
         high_capacity=4,
         manager=config.Sac(hidden=(4,)),
         controller=config.Ddpg(hidden=(4,), critic_hidden=(4,), updates_per_step=0.05),
-        exploration=config.Exploration(first_step=first_step, success_weight=0.0),
+        exploration=config.Exploration(first_step=first_step, success_weight=0.0, every=1),
     )
     hess = system.Hess(env, 8, (12, 9), 20, options)
     return jax.jit(hess.advance)(hess.init(jax.random.key(0)))[0]
@@ -269,6 +269,11 @@ def test_breaking_down_is_not_worth_arriving():
     rows = walked_rows(after_a_round(Jump, 0))
     np.testing.assert_array_equal(rows.discount, 0.0)
     np.testing.assert_array_equal(rows.reward, 0.0)
+
+
+def test_no_place_is_novel_before_any_has_been_counted():
+    squares = after_a_round(sled.Stuck, 0).squares
+    assert not squares.visits.any() and (squares.novelty == 1.0).all()
 
 
 def test_only_what_exploration_chose_and_was_walked_for_is_missed():

@@ -8,10 +8,10 @@ from eihrl_jax.evaluation import results, statistics
 from experiments import _report_peers
 
 PEER = """step,success,episodes,eval/success,eval/reward
-500,nan,0.0,,
-1000,0.5,2.0,0.1,0.01
-1500,0.5,4.0,,
-2000,0.5,2.0,0.4,0.02
+2000,nan,0.0,,
+4000,0.5,2.0,0.1,0.01
+6000,0.5,4.0,,
+8000,0.5,2.0,0.4,0.02
 """
 OURS = """step,num_decisions,decisions,eval/success,eval/reward
 20,1000.0,20.0,0.2,0.1
@@ -64,7 +64,7 @@ def test_episodes_and_steps_are_counted_up_to_each_evaluation(folders):
         (equal, "episodes", [[4.0, 0.5], [12.0, 0.9]]),
         (equal, "control steps", [[4e3, 0.5], [8e3, 0.9]]),
         (peer, "episodes", [[2.0, 0.1], [8.0, 0.4]]),
-        (peer, "control steps", [[1000.0, 0.1], [2000.0, 0.4]]),
+        (peer, "control steps", [[4000.0, 0.1], [8000.0, 0.4]]),
         (ours, "episodes", [[50.0, 0.2], [250.0, 0.9]]),
         (ours, "control steps", [[25e3, 0.2], [75e3, 0.9]]),
     ):
@@ -107,12 +107,43 @@ def test_every_task_that_a_peer_learned_has_its_pictures(folders):
     assert all(picture.path.stat().st_size > 10_000 for picture in section.pictures)
     sparse, dense = section.tables
     assert sparse.rows == [
-        ["ours, walking", "-", "80 (80 to 80), 1", "-", "-"],
-        ["ours, oracle", "-", "90 (90 to 90), 1", "-", "-"],
-        ["HIGL", "-", "40 (40 to 40), 2", "-", "-"],
-        ["RAND-H", "-", "30 (30 to 30), 1", "-", "-"],
+        ["ours, walking", "80 (80 to 80), 1"],
+        ["ours, oracle", "90 (90 to 90), 1"],
+        ["HIGL", "40 (40 to 40), 2"],
+        ["RAND-H", "30 (30 to 30), 1"],
     ]
-    assert dense.rows == [["flat DroQ", "-", "40 (40 to 40), 2", "-", "-"]]
+    assert dense.rows == [["flat DroQ", "40 (40 to 40), 2"]]
+
+
+HALF = PEER.partition("6000")[0]
+
+
+@pytest.mark.parametrize(
+    "text", ["", PEER.partition("2000")[0], PEER.partition("4000")[0], HALF, HALF + "6000,0."]
+)
+def test_runs_that_have_not_spent_the_budget_are_left_out(folders, text):
+    for name in ("higl-u-2", "hess-u-0", "hess-g1-0"):
+        run = folders / "peers" / name
+        run.mkdir()
+        (run / "metrics.csv").write_text(text)
+    section = _report_peers.section(ours(folders), folders / "peers", folders / "out")
+    table = section.tables[0]
+    assert ["HIGL", "40 (40 to 40), 2"] in [row[:2] for row in table.rows]
+    assert ("HESS" in [row[0] for row in table.rows]) == ("4000" in text)  # alone in g1
+    assert table.header == ["method", "u", *(["g1"] if "4000" in text else [])]
+
+
+def test_what_was_reached_before_an_episode_ended_has_no_place_on_their_axis(tmp_path):
+    file = tmp_path / "metrics.csv"
+    file.write_text("step,episodes,eval/success\n4000,0.0,0.1\n8000,3.0,0.2\n")
+    assert _report_peers._by_episodes(file, "eval/success").tolist() == [[3.0, 0.2]]
+
+
+def test_a_table_that_is_none_is_named(folders):
+    file = folders / "peers" / "higl-u-0" / "metrics.csv"
+    file.write_bytes(bytes(range(128, 256)))
+    with pytest.raises(base.UserError, match=r"higl-u-0.metrics\.csv can't be read"):
+        _report_peers.section(ours(folders), folders / "peers", folders / "out")
 
 
 def test_a_folder_without_peers_is_named(folders):

@@ -26,6 +26,14 @@ class Config:
     resume: bool = False
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OtherConfig:
+    preset: str = "best"
+    num_landmarks: int = 20
+    run: pathlib.Path = pathlib.Path("runs/x")
+    resume: bool = False
+
+
 STATE = {"x": jnp.zeros(3)}
 
 
@@ -111,6 +119,36 @@ def test_resume_with_other_options_names_them(tmp_path, options, message):
     create(tmp_path / "run").close()
     with pytest.raises(base.UserError, match=message):
         create(tmp_path / "run", resume=True, **options)
+
+
+def test_resume_of_another_kind_of_run_names_what_differs(tmp_path):
+    create(tmp_path / "run").close()
+    before = snapshot(tmp_path)
+    with pytest.raises(base.UserError, match="with preset = 'paper' and can't go on with 'best'"):
+        run_folder.RunFolder.create(tmp_path / "run", OtherConfig(), resume=True)
+    assert snapshot(tmp_path) == before
+
+
+def test_damaged_metrics_are_named_and_left_alone(tmp_path):
+    with create(tmp_path / "run") as run:
+        record(run, range(1, 4), save_at=(3,))
+    file = tmp_path / "run" / "metrics.csv"
+    damaged = file.read_text().replace("\n2,", "\n\n2,")
+    file.write_text(damaged)
+    with (
+        create(tmp_path / "run", resume=True) as run,
+        pytest.raises(base.UserError, match=r"metrics\.csv is damaged: a row doesn't begin"),
+    ):
+        run.restore(STATE)
+    assert file.read_text() == damaged
+
+
+def test_a_run_without_checkpoint_says_that_it_begins_anew(tmp_path, capsys):
+    with create(tmp_path / "run") as run:
+        record(run, range(1, 3))
+    with create(tmp_path / "run", resume=True) as run:
+        assert run.restore(STATE) is None
+    assert "has no checkpoint yet: the run begins anew" in capsys.readouterr().err
 
 
 def test_config_is_that_of_the_last_start(tmp_path):
