@@ -14,6 +14,7 @@ from flax import struct
 from jaxtyping import Array, Float, Key
 
 from eihrl_jax import base
+from eihrl_jax.baselines import optimisation
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.networks import mlp
 
@@ -127,7 +128,7 @@ class Td3:
             return (weight * losses.sum(0)).mean(), values.mean()
 
         (loss, value), grads = jax.value_and_grad(critic_loss, has_aux=True)(state.critic_params)
-        critic_params, critic_opt_state = _step(
+        critic_params, critic_opt_state = optimisation.step(
             self._critic_optimizer, grads, state.critic_opt_state, state.critic_params
         )
 
@@ -137,8 +138,8 @@ class Td3:
             extra = jnp.float32(0.0) if penalty is None else penalty(action)
             return -(weight * first).mean() + extra
 
-        actor_value, grads = jax.value_and_grad(actor_loss)(state.actor_params)
-        actor_params, actor_opt_state = _step(
+        actor_cost, grads = jax.value_and_grad(actor_loss)(state.actor_params)
+        actor_params, actor_opt_state = optimisation.step(
             self._actor_optimizer, grads, state.actor_opt_state, state.actor_params
         )
         rate = self.options.target_rate
@@ -154,7 +155,7 @@ class Td3:
             actor_opt_state=actor_opt_state,
             critic_opt_state=critic_opt_state,
         )
-        return state, {"critic_loss": loss, "actor_loss": actor_value, "value": value}
+        return state, {"critic_loss": loss, "actor_loss": actor_cost, "value": value}
 
     def _target(
         self, state: Td3State, batch: base.Transition, key: Key[Array, ""]
@@ -170,12 +171,3 @@ class Td3:
 
     def _within_reach(self, action: Float[Array, "*B A"]) -> Float[Array, "*B A"]:
         return jnp.clip(action, -self.options.reach, self.options.reach)
-
-
-def _step(
-    optimizer: optax.GradientTransformation, grads: Any, opt_state: optax.OptState, params: Any
-) -> tuple[Any, optax.OptState]:
-    """Returns the parameters and the optimiser's state after one step."""
-    with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
-        updates, opt_state = optimizer.update(grads, opt_state, params)
-    return optax.apply_updates(params, updates), opt_state

@@ -10,12 +10,10 @@ import matplotlib.figure
 import matplotlib.ticker
 import numpy as np
 from jaxtyping import Float
-from matplotlib.backends import backend_agg
 
 from eihrl_jax import base
-from eihrl_jax.evaluation import palette
+from eihrl_jax.evaluation import figures, palette
 
-_DPI = 160
 _LINES = tuple(itertools.product(("-", "--", ":"), palette.CURVE))
 _MARKERS = "os^DvPX"
 _NUM_MARKERS = 3
@@ -178,10 +176,7 @@ def aligned(
 
 def new_axes(x_label: str, y_label: str) -> matplotlib.axes.Axes:
     """Returns empty axes in the style of all pictures."""
-    figure = matplotlib.figure.Figure(
-        figsize=(7.0, 4.2), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
-    )
-    axes = figure.add_subplot()
+    axes = figures.new(7.0, 4.2).add_subplot()
     axes.set_facecolor(palette.PAPER)
     axes.set_xlabel(x_label, color=palette.INK)
     axes.set_ylabel(y_label, color=palette.INK)
@@ -199,4 +194,4 @@ def write(axes: matplotlib.axes.Axes, path: pathlib.Path) -> None:
         axes.set_xlim(left=0.0)
     figure = axes.figure
     assert isinstance(figure, matplotlib.figure.Figure)
-    backend_agg.FigureCanvasAgg(figure).print_png(str(path))
+    figures.save(figure, path)

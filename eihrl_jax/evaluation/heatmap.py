@@ -12,15 +12,13 @@ import matplotlib.figure
 import matplotlib.lines
 import numpy as np
 from jaxtyping import Float
-from matplotlib.backends import backend_agg
 
 from eihrl_jax import base
-from eihrl_jax.evaluation import layout, palette
+from eihrl_jax.evaluation import figures, layout, palette
 from eihrl_jax.mazes import maze as maze_lib
 
 BINS_PER_CELL = 6
 _LABEL = "episodes that came by, %"
-_DPI = 160
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +40,7 @@ class Visits:
 def save(path: pathlib.Path, visits: Visits) -> None:
     """Draws the heatmap of one maze with the marginal frequencies beside it, as PNG."""
     rows, columns = visits.maze.wall.shape
-    figure = _figure(7.2, 5.3 * min(rows / columns, 1.3) + 1.4)
+    figure = figures.new(7.2, 5.3 * min(rows / columns, 1.3) + 1.4)
     axes = figure.add_subplot()
     norm = _norm([visits])
     _draw(axes, visits, norm)
@@ -64,14 +62,14 @@ def save(path: pathlib.Path, visits: Visits) -> None:
         marginal.set_facecolor("none")
     _style_bar(figure.colorbar(_mappable(norm), cax=scale))
     _add_legend(figure)
-    _save(figure, path)
+    figures.save(figure, path)
 
 
 def save_together(path: pathlib.Path, visits: Sequence[Visits], *, num_columns: int = 4) -> None:
     """Draws several mazes on one colour scale, as PNG."""
     num_columns = min(num_columns, len(visits))
     num_rows = -(-len(visits) // num_columns)
-    figure = _figure(3.3 * num_columns + 1.0, 3.5 * num_rows + 0.7)
+    figure = figures.new(3.3 * num_columns + 1.0, 3.5 * num_rows + 0.7)
     grid = figure.add_gridspec(num_rows, num_columns + 1, width_ratios=[20] * num_columns + [1])
     norm = _norm(visits)
     for i, item in enumerate(visits):
@@ -82,19 +80,7 @@ def save_together(path: pathlib.Path, visits: Sequence[Visits], *, num_columns: 
     bar = figure.colorbar(_mappable(norm), cax=figure.add_subplot(grid[:, -1]))
     _style_bar(bar)
     _add_legend(figure)
-    _save(figure, path)
-
-
-def _figure(width: float, height: float) -> matplotlib.figure.Figure:
-    """Returns an empty figure of `width` x `height` inches."""
-    return matplotlib.figure.Figure(
-        figsize=(width, height), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
-    )
-
-
-def _save(figure: matplotlib.figure.Figure, path: pathlib.Path) -> None:
-    """Writes a figure without any display."""
-    backend_agg.FigureCanvasAgg(figure).print_png(str(path))
+    figures.save(figure, path)
 
 
 def _add_legend(figure: matplotlib.figure.Figure) -> None:

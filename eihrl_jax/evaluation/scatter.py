@@ -3,16 +3,13 @@
 import pathlib
 from collections.abc import Mapping
 
-import matplotlib.figure
 import matplotlib.patches
 import numpy as np
 from jaxtyping import Float
-from matplotlib.backends import backend_agg
 
 from eihrl_jax import base
-from eihrl_jax.evaluation import palette
+from eihrl_jax.evaluation import figures, palette
 
-_DPI = 160
 _NAMES = ("x+", "x-", "y+", "y-")
 _EXTENT = 5.0
 
@@ -34,9 +31,7 @@ def save(
       title: what is shown.
       sigma: standard deviation per axis of the normal law to compare with, units.
     """
-    figure = matplotlib.figure.Figure(
-        figsize=(6.0, 6.2), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
-    )
+    figure = figures.new(6.0, 6.2)
     axes = figure.add_subplot()
     axes.set_facecolor(palette.PAPER)
     for index, points in ends.items():
@@ -62,4 +57,4 @@ def save(
     axes.spines[:].set_visible(False)
     axes.tick_params(colors=palette.INK)
     axes.legend(frameon=False, labelcolor=palette.INK, loc="upper left", fontsize=7)
-    backend_agg.FigureCanvasAgg(figure).print_png(str(path))
+    figures.save(figure, path)

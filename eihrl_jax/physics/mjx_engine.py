@@ -23,14 +23,12 @@ class MjxEngine:
     has; `mujoco_engine.MujocoEngine` is the faster one there.
     """
 
-    def __init__(self, robot: robot_lib.Robot, cell: float = base.CELL, *, impl: str = "jax"):
+    def __init__(self, robot: robot_lib.Robot, cell: float = base.CELL):
         """Compiles the robot's scene and puts it on the device.
 
         Args:
           robot: the robot to drive.
           cell: side of a wall's box, units.
-          impl: MJX's own implementation, "jax"; or "warp" where the package `warp-lang` and an
-            NVIDIA GPU are.
 
         Raises:
           base.UserError: the robot's MJCF can't be read or compiled, or MJX lacks something that
@@ -39,8 +37,8 @@ class MjxEngine:
         self.robot = robot
         self.model = scene.build(robot, cell)
         try:
-            self._model = mjx.put_model(self.model, impl=impl)
-            self._data = mjx.make_data(self.model, impl=impl)
+            self._model = mjx.put_model(self.model, impl="jax")
+            self._data = mjx.make_data(self.model, impl="jax")
         except (NotImplementedError, RuntimeError) as error:
             raise base.UserError(f"engine 'mjx' can't run robot {robot.name!r}: {error}") from None
 
@@ -71,8 +69,6 @@ class MjxEngine:
 
     def _physics_step(self, data: mjx.Data) -> mjx.Data:
         """Advances one physics step: `mjx.step`, with contact frames as the C engine has them."""
-        if self._model.impl != mjx.Impl.JAX:
-            return mjx.step(self._model, data)
         data = mjx.fwd_position(self._model, data)
         data = mjx.make_constraint(self._model, _align_with_capsules(self._model, data))
         data = mjx.fwd_velocity(self._model, data)

@@ -123,10 +123,10 @@ def mismatch(
     high = _check(transition, flat, low, high)[3]
     kernel, rewards = tabular.k_step_model(transition, reward, flat, k, gamma)
     kernels, option_rewards = tabular.option_models(transition, reward, low, k, gamma)
+    mixed, mixed_rewards = tabular.mix(kernels, option_rewards, high)
+    ends = np.abs(kernel - mixed)
     weighted = np.swapaxes(high, -2, -1)[..., None] * kernels  # [..., G, S, S]
-    ends = np.abs(kernel - weighted.sum(-3))
     total, greatest = _path_distances(transition, flat, low, high, k, 10**6)
-    mixed_rewards = np.einsum("...sg,...gs->...s", high, option_rewards)
     return Mismatch(
         literal=np.abs(kernel[..., None, :, :] - weighted).max((-3, -2, -1)),
         endpoint_max=ends.max((-2, -1)),

@@ -161,7 +161,7 @@ def hierarchical_value(
     )
     num_subgoals, num_states = rewards.shape[-2:]
     chosen = arguments.probabilities("high", high, (num_states, num_subgoals))
-    return _solve(*_mix(kernels, rewards, chosen), gamma**k)
+    return _solve(*mix(kernels, rewards, chosen), gamma**k)
 
 
 def optimal_value(
@@ -227,8 +227,21 @@ def _repeat(
     return power, rewards
 
 
-def _mix(kernels: np.ndarray, rewards: np.ndarray, chosen: np.ndarray) -> tuple[Matrix, Vector]:
-    """Returns the model of a segment whose option is drawn with the probabilities [..., S, G]."""
+def mix(
+    kernels: Float[np.ndarray, "... G S S"],
+    rewards: Float[np.ndarray, "... G S"],
+    chosen: Float[np.ndarray, "... S G"],
+) -> tuple[Matrix, Vector]:
+    """Returns the model of a segment whose option is drawn in each state.
+
+    Args:
+      kernels: of the state after a segment, by option.
+      rewards: expected in a segment, by option.
+      chosen: probability of each option in each state.
+
+    Returns:
+      Kernel [..., S, S] and rewards [..., S].
+    """
     kernel = np.einsum("...sg,...gst->...st", chosen, kernels)
     return kernel, np.einsum("...sg,...gs->...s", chosen, rewards)
 
@@ -247,7 +260,7 @@ def _improve(
     best = np.zeros(rewards.shape[:-2] + rewards.shape[-1:], np.int64)
     while True:
         chosen = np.eye(num_choices)[best]
-        value = _solve(*_mix(kernels, rewards, chosen), discount)
+        value = _solve(*mix(kernels, rewards, chosen), discount)
         gains = rewards + discount * (kernels @ value[..., None, :, None])[..., 0]
         now = np.take_along_axis(gains, best[..., None, :], -2)[..., 0, :]
         margin = 1e-12 * np.maximum(1.0, np.abs(now))

@@ -20,7 +20,7 @@ def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
     """
     episodes = float(np.sum(metrics["episodes"]))
     means = {}
-    for name, values in sorted(metrics.items(), reverse=True):
+    for name, values in sorted(metrics.items(), reverse=True):  # sums of episodes first
         if name.startswith("sum_"):
             total = float(np.sum(values))
             means[name.removeprefix("sum_")] = total / episodes if episodes else math.nan

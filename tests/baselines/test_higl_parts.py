@@ -56,17 +56,17 @@ def test_the_most_novel_places_are_kept_until_they_are_visited_again():
     new = novelty.Novelty(2, options)
     state = new.init(jax.random.key(0))
     obs = jnp.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]])
-    state = new.visit(state, obs, obs, jnp.ones(3, bool))
-    assert sorted(state.xy.tolist()) == sorted(obs.tolist())
+    state = new.visit(state, obs, jnp.ones(3, bool))
+    assert sorted(state.obs.tolist()) == sorted(obs.tolist())
     often = jnp.broadcast_to(jnp.array([[[0.0, 4.0]]]), (1000, 1, 2))
     state, loss = jax.lax.scan(new.update, state, often)
     assert loss[-1] < 0.05 * loss[0]
-    before = {tuple(xy): score for xy, score in zip(state.xy.tolist(), state.score, strict=True)}
-    state = new.visit(state, obs[2:3], obs[2:3], jnp.ones(1, bool))
-    after = {tuple(xy): score for xy, score in zip(state.xy.tolist(), state.score, strict=True)}
+    before = {tuple(xy): score for xy, score in zip(state.obs.tolist(), state.score, strict=True)}
+    state = new.visit(state, obs[2:3], jnp.ones(1, bool))
+    after = {tuple(xy): score for xy, score in zip(state.obs.tolist(), state.score, strict=True)}
     assert after[(0.0, 4.0)] < 0.1 * before[(0.0, 4.0)]
     assert after[(0.0, 0.0)] == before[(0.0, 0.0)]
-    unseen = new.visit(new.init(jax.random.key(0)), obs, obs, jnp.zeros(3, bool))
+    unseen = new.visit(new.init(jax.random.key(0)), obs, jnp.zeros(3, bool))
     assert not np.isfinite(unseen.score).any()
 
 
@@ -75,11 +75,11 @@ def test_a_walk_of_small_steps_leaves_its_most_novel_places_apart():
     new = novelty.Novelty(2, options)
     state = new.init(jax.random.key(0))
     walk = jnp.stack([0.2 * jnp.arange(20.0), jnp.zeros(20)], axis=1)
-    found = new.visit(state, walk, walk, jnp.ones(20, bool))
+    found = new.visit(state, walk, jnp.ones(20, bool))
     assert np.isfinite(found.score).all()
-    apart = np.linalg.norm(found.xy[:, None] - found.xy[None], axis=-1) + np.eye(3)
+    apart = np.linalg.norm(found.obs[:, None] - found.obs[None], axis=-1) + np.eye(3)
     assert apart.min() >= 0.5
-    alone = [new.visit(state, xy[None], xy[None], jnp.ones(1, bool)).score[0] for xy in walk]
+    alone = [new.visit(state, xy[None], jnp.ones(1, bool)).score[0] for xy in walk]
     assert found.score[0] == pytest.approx(max(alone))
 
 

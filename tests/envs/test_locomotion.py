@@ -14,7 +14,7 @@ from eihrl_jax.envs import locomotion, rooms, wrappers
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engine as engine_lib
 
-ANT, POINT, SWIMMER = (robots.load(name) for name in ("ant", "point", "swimmer"))
+ANT, POINT = (robots.load(name) for name in ("ant", "point"))
 
 
 @pytest.fixture(scope="module")

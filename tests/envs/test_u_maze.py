@@ -34,7 +34,7 @@ def test_the_goal_ends_an_evaluation_and_not_a_training(is_evaluation):
         state = step(state, go)
         rewards.append(float(state.reward))
     # A fifth of a cell per step: within 2.5 of three units after the first one.
-    assert rewards == ([0.0] * 1 + [0.0] * (K - 1))
+    assert rewards == [0.0] * K
     assert state.metrics["success"] == 1.0 and bool(state.terminated) == is_evaluation
     assert state.metrics["steps"] == (1 if is_evaluation else K)
 
@@ -47,7 +47,7 @@ def test_far_from_the_goal_each_step_costs_one_or_the_distance():
 
 
 def test_walls_are_four_units_wide():
-    """A ball that is pushed to the east from the start ends at the wall, 11 units away."""
+    """A ball that is pushed to the east from the start ends at the wall, 10 units away."""
     robot = robots.load("point")
     engine = engine_lib.make(robot, "mujoco", u_maze.CELL)
     env = u_maze.UMaze(engine, MAZE)

@@ -71,13 +71,6 @@ def test_three_walls_are_all_that_a_short_robot_can_touch():
         assert touchable <= {tuple(c) for c in near_xy}, xy
 
 
-def test_the_cost_of_a_step_does_not_depend_on_the_maze(ant):
-    """The engine sees the same shapes in every maze; the maze is only looked up."""
-    for name in ("random", "spiral"):
-        assert walls.nearby(mazes.load(name), jnp.zeros(2), ant.robot.num_walls).shape == (3, 2)
-    assert ant.model.nmocap == 3
-
-
 def launch(ant, maze, ctrls, seed):
     """Throws ants [N] from anywhere free in any direction; returns qpos [T, N, nq]."""
     num = ctrls.shape[1]

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax.config import hess as config_lib
 
-SIDE = 128
+NUM_SQUARES = 128
 """Squares along each axis; what lies beyond counts for the outermost ones."""
 
 
@@ -19,9 +19,9 @@ class ExplorationState(struct.PyTreeNode):
     """What is known about the squares of the subgoal space.
 
     Attributes:
-      visits: float32 [SIDE, SIDE], states that lay in each.
-      novelty: float32 [SIDE, SIDE], mean discounted visits from there on; small where it is new.
-      misses: float32 [SIDE, SIDE], sum of the distances by which subgoals there were missed.
+      visits: float32 [M, M], states that lay in each; M: `NUM_SQUARES`.
+      novelty: float32 [M, M], mean discounted visits from there on; small where it is new.
+      misses: float32 [M, M], sum of the distances by which subgoals there were missed.
     """
 
     visits: Float[Array, "S S"]
@@ -31,8 +31,8 @@ class ExplorationState(struct.PyTreeNode):
 
 def init() -> ExplorationState:
     """Returns the state before anything was visited."""
-    zeros = jnp.zeros((SIDE, SIDE))
-    return ExplorationState(visits=zeros, novelty=jnp.ones((SIDE, SIDE)), misses=zeros)
+    zeros = jnp.zeros((NUM_SQUARES, NUM_SQUARES))
+    return ExplorationState(visits=zeros, novelty=jnp.ones_like(zeros), misses=zeros)
 
 
 def visit(
@@ -83,7 +83,7 @@ def look_ahead(
 
     _, totals = jax.lax.scan(back, jnp.zeros(place.shape[0]), counts.T, reverse=True)
     weight = is_valid.astype(jnp.float32)
-    zeros = jnp.zeros((SIDE, SIDE))
+    zeros = jnp.zeros((NUM_SQUARES, NUM_SQUARES))
     sums = zeros.at[i, j].add(weight * totals.T)
     return state.replace(novelty=(sums + 1.0) / (zeros.at[i, j].add(weight) + 1.0))
 
@@ -121,6 +121,6 @@ def select(
 
 def square(place: Float[Array, "*B 2"], side: float) -> tuple[Int[Array, "*B"], Int[Array, "*B"]]:
     """Returns the numbers of the squares that places lie in."""
-    index = jnp.floor(place / side).astype(jnp.int32) + SIDE // 2
-    index = jnp.clip(index, 0, SIDE - 1)
+    index = jnp.floor(place / side).astype(jnp.int32) + NUM_SQUARES // 2
+    index = jnp.clip(index, 0, NUM_SQUARES - 1)
     return index[..., 0], index[..., 1]

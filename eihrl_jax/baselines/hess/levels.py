@@ -14,6 +14,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base
+from eihrl_jax.baselines import optimisation
 from eihrl_jax.config import hess as config_lib
 from eihrl_jax.networks import droq, mlp
 from eihrl_jax.ops import tanh_normal
@@ -116,7 +117,7 @@ class Sac:
             return (weight[None] * jnp.square(values - target[None])).mean(-1).sum()
 
         loss, grads = jax.value_and_grad(critic_loss)(state.critic_params)
-        critics, critic_opt_state = _step(
+        critics, critic_opt_state = optimisation.step(
             self._optimizer, grads, state.critic_opt_state, state.critic_params
         )
 
@@ -126,7 +127,7 @@ class Sac:
             return (weight * (options.temperature * log_prob - values)).mean(), values.mean()
 
         (_, value), grads = jax.value_and_grad(actor_loss, has_aux=True)(state.actor_params)
-        actor_params, actor_opt_state = _step(
+        actor_params, actor_opt_state = optimisation.step(
             self._optimizer, grads, state.actor_opt_state, state.actor_params
         )
         averaged = optax.incremental_update(
@@ -230,7 +231,7 @@ class Ddpg:
             return (weight * jnp.square(values - target)).mean(), values.mean()
 
         (loss, value), grads = jax.value_and_grad(critic_loss, has_aux=True)(state.critic_params)
-        critic_params, critic_opt_state = _step(
+        critic_params, critic_opt_state = optimisation.step(
             self._critic_optimizer, grads, state.critic_opt_state, state.critic_params, rate
         )
 
@@ -239,7 +240,7 @@ class Ddpg:
             return -(weight * values).mean()
 
         grads = jax.grad(actor_loss)(state.actor_params)
-        actor_params, actor_opt_state = _step(
+        actor_params, actor_opt_state = optimisation.step(
             self._actor_optimizer, grads, state.actor_opt_state, state.actor_params, rate
         )
         num_updates = state.num_updates + 1
@@ -267,17 +268,3 @@ class Ddpg:
         steps = cast(Array, self._critic.apply({"params": params}, obs, action))
         gamma = self.options.gamma
         return -(1.0 - gamma**steps) / (1.0 - gamma)
-
-
-def _step(
-    optimizer: optax.GradientTransformation,
-    grads: Any,
-    opt_state: optax.OptState,
-    params: Any,
-    rate: Float[Array, ""] | float = 1.0,
-) -> tuple[Any, optax.OptState]:
-    """Returns parameters and the optimiser's state after one step of `rate` times its length."""
-    with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
-        updates, opt_state = optimizer.update(grads, opt_state, params)
-    updates = jax.tree.map(lambda update: rate * update, updates)
-    return optax.apply_updates(params, updates), opt_state

@@ -13,6 +13,7 @@ import optax
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from eihrl_jax.baselines import optimisation
 from eihrl_jax.config import hess as config_lib
 from eihrl_jax.networks import mlp
 
@@ -116,9 +117,7 @@ class Representation:
             (loss, own), grads = jax.value_and_grad(self._loss, has_aux=True)(
                 params, stored, pair, calm, calm_place, weight
             )
-            with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
-                updates, opt_state = self._optimizer.update(grads, opt_state)
-            params = optax.apply_updates(params, updates)
+            params, opt_state = optimisation.step(self._optimizer, grads, opt_state, params)
             return (params, opt_state, losses.at[pair].set(own)), loss
 
         start = state.params, state.opt_state, losses

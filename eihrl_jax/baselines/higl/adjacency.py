@@ -13,6 +13,7 @@ import optax
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from eihrl_jax.baselines import optimisation
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.networks import mlp
 
@@ -104,9 +105,7 @@ class AdjacencyNetwork:
             pair = squares[jax.random.randint(draw, (2, self.options.batch_size), 0, num)]
             is_near = state.table[pair[0], pair[1]]
             loss, grads = jax.value_and_grad(self._loss)(params, self._centre(pair), is_near)
-            with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
-                updates, opt_state = self._optimizer.update(grads, opt_state)
-            return optax.apply_updates(params, updates), opt_state, loss
+            return *optimisation.step(self._optimizer, grads, opt_state, params), loss
 
         start = state.params, state.opt_state, jnp.float32(0.0)
         params, opt_state, loss = jax.lax.fori_loop(0, num_updates, body, start)

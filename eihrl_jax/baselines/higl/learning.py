@@ -100,7 +100,7 @@ class Learning:
             places = self._adjacency.mark(places, path_xy, steps.is_running, steps.is_end)
         if self.options.guidance == "landmarks":
             obs = steps.next_obs.reshape(-1, steps.next_obs.shape[-1])
-            new = self._novelty.visit(new, obs, obs[:, :2], steps.is_running.reshape(-1))
+            new = self._novelty.visit(new, obs, steps.is_running.reshape(-1))
         return learned.replace(places=places, novelty=new)
 
     def learn(

@@ -12,6 +12,7 @@ import optax
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from eihrl_jax.baselines import optimisation
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.networks import mlp
 
@@ -26,8 +27,7 @@ class NoveltyState(struct.PyTreeNode):
       target_params: of the network that is predicted, never learned.
       params: of the one that predicts.
       opt_state: of Adam.
-      obs: float32 [M, F], what was seen at the places.
-      xy: float32 [M, 2], where they are, units.
+      obs: float32 [M, F], what was seen at the places; its first two entries are x and y, units.
       score: float32 [M], how novel they were when they were visited; -inf: no place yet.
     """
 
@@ -35,7 +35,6 @@ class NoveltyState(struct.PyTreeNode):
     params: Any
     opt_state: optax.OptState
     obs: Float[Array, "M F"]
-    xy: Float[Array, "M 2"]
     score: Float[Array, " M"]
 
 
@@ -64,7 +63,6 @@ class Novelty:
             params=params,
             opt_state=self._optimizer.init(params),
             obs=jnp.zeros((num, self._num_features)),
-            xy=jnp.zeros((num, 2)),
             score=jnp.full(num, -jnp.inf, jnp.float32),
         )
 
@@ -72,7 +70,6 @@ class Novelty:
         self,
         state: NoveltyState,
         obs: Float[Array, "V F"],
-        xy: Float[Array, "V 2"],
         is_valid: Bool[Array, " V"],
     ) -> NoveltyState:
         """Puts visited places among the most novel ones.
@@ -80,13 +77,13 @@ class Novelty:
         A place in the queue that a visit comes nearer to than `merge_radius` is dropped: it is no
         longer as novel as it was. Of visits as near to each other the most novel one stays.
         """
-        square = jnp.square(state.xy[:, None] - xy[None]).sum(-1)
+        square = jnp.square(state.obs[:, None, :2] - obs[None, :, :2]).sum(-1)
         radius = self._options.merge_radius**2
         is_seen_again = ((square < radius) & is_valid[None]).any(1)
         kept = jnp.where(is_seen_again, -jnp.inf, state.score)
         new = jnp.where(is_valid, self._errors(state.params, state.target_params, obs), -jnp.inf)
-        every_xy = jnp.concatenate([state.xy, xy])
         every_obs = jnp.concatenate([state.obs, obs])
+        every_xy = every_obs[:, :2]
 
         def pick(
             score: Float[Array, " A"], _: None
@@ -98,7 +95,7 @@ class Novelty:
 
         score = jnp.concatenate([kept, new])
         _, (index, best) = jax.lax.scan(pick, score, length=state.score.shape[0])
-        return state.replace(obs=every_obs[index], xy=every_xy[index], score=best)
+        return state.replace(obs=every_obs[index], score=best)
 
     def update(
         self, state: NoveltyState, obs: Float[Array, "B F"]
@@ -109,9 +106,7 @@ class Novelty:
             return self._errors(params, state.target_params, obs).mean()
 
         loss, grads = jax.value_and_grad(loss_fn)(state.params)
-        with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
-            updates, opt_state = self._optimizer.update(grads, state.opt_state)
-        params = optax.apply_updates(state.params, updates)
+        params, opt_state = optimisation.step(self._optimizer, grads, state.opt_state, state.params)
         return state.replace(params=params, opt_state=opt_state), loss
 
     def _errors(
