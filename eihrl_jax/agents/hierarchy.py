@@ -20,7 +20,7 @@ LowPolicy = Callable[[Any, Key[Array, ""]], Float[Array, " nu"]]
 
 @runtime_checkable
 class Walker(Protocol):
-    """What is asked of an environment with a walking robot, see `envs.maze.PhysicsMaze`."""
+    """What is asked of an environment with a walking robot, see `envs.physics_maze.PhysicsMaze`."""
 
     robot: Any
     course: Any

@@ -10,7 +10,7 @@ App. D).
 End of an episode: terminated by the last goal, with sparse reward, or by a simulation that breaks
 down; truncated at the maze's number of decisions times the robot's control steps per subgoal. A
 fall ends nothing.
-Reset: as in `maze`.
+Reset: as in `physics_maze`.
 """
 
 import jax

@@ -14,7 +14,7 @@ from eihrl_jax.agents import hierarchy, peg_a2c
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import low_obs, maze, oracle_maze, task
+from eihrl_jax.envs import low_obs, oracle_maze, physics_maze, task
 from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import actor_critic, droq
 from eihrl_jax.physics import engine as engine_lib
@@ -187,7 +187,7 @@ def full(
     reward: base.Reward = "sparse",
 ) -> hierarchy.Hierarchy:
     """Returns a walking robot in several mazes, driven by its low level."""
-    env = maze.PhysicsMaze(engine, stacked, view=view, reward=reward)
+    env = physics_maze.PhysicsMaze(engine, stacked, view=view, reward=reward)
     return hierarchy.Hierarchy(env, low_policy)
 
 

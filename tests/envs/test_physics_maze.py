@@ -7,8 +7,7 @@ import pytest
 
 from eihrl_jax import base, mazes, raster, robots
 from eihrl_jax.agents import hierarchy
-from eihrl_jax.envs import maze as maze_env
-from eihrl_jax.envs import task
+from eihrl_jax.envs import physics_maze, task
 from eihrl_jax.physics import engine as engine_lib
 from tests.envs.sled import K, Sled
 
@@ -35,7 +34,7 @@ def maze():
 
 @pytest.fixture(scope="module")
 def env(maze):
-    return maze_env.PhysicsMaze(Sled(), maze, view=raster.View())
+    return physics_maze.PhysicsMaze(Sled(), maze, view=raster.View())
 
 
 @functools.cache
@@ -66,7 +65,7 @@ def test_goals_pay_once_and_the_last_one_ends_the_episode(env):
 
 
 def test_dense_reward_tells_where_a_decision_ends_until_the_time_is_up(maze):
-    env = maze_env.PhysicsMaze(Sled(), maze, view=raster.View(), reward="dense")
+    env = physics_maze.PhysicsMaze(Sled(), maze, view=raster.View(), reward="dense")
     first, *found = steps(env, drive, [EAST, EAST, SOUTH, SOUTH, WEST, WEST])
     start, *ends = (np.asarray(state.inner.body.physics.qpos[:2]) for state in (first, *found))
     goals_xy = {1: np.array([10.5, -4.5]), 2: np.array([4.5, -10.5])}
@@ -85,7 +84,7 @@ def test_dense_reward_tells_where_a_decision_ends_until_the_time_is_up(maze):
 
 def test_with_dense_reward_the_robot_walks_on_after_the_last_goal():
     longer = mazes.parse(TEXT, num_decisions=8)
-    env = maze_env.PhysicsMaze(Sled(), longer, view=raster.View(), reward="dense")
+    env = physics_maze.PhysicsMaze(Sled(), longer, view=raster.View(), reward="dense")
     found = steps(env, drive, [EAST, EAST, SOUTH, SOUTH, WEST, WEST, EAST, NORTH])
     assert [float(state.metrics["success"]) for state in found[-3:]] == [1.0, 1.0, 1.0]
     before, after = (state.inner.body.physics.qpos[:2] for state in found[-3:-1])
@@ -150,7 +149,7 @@ def test_patch_shows_the_real_surroundings(env, maze):
 
 def test_reset_draws_anew_in_the_maze_asked_for(maze):
     room = mazes.load("random")
-    env = maze_env.PhysicsMaze(Sled(), mazes.stack([maze, room]), view=raster.View())
+    env = physics_maze.PhysicsMaze(Sled(), mazes.stack([maze, room]), view=raster.View())
     keys = jax.random.split(jax.random.key(0), 16)
     states = jax.jit(jax.vmap(env.reset))(keys, jnp.arange(16) % 2)
     np.testing.assert_array_equal(states.inner.nav.maze, np.arange(16) % 2)
@@ -167,7 +166,7 @@ def rolling():
     """A point robot on the C engine, in a room that it is to leave through the east."""
     text = "######\n#....#\n#S...1\n#....#\n######\n"
     engine = engine_lib.make(robots.load("point"))
-    env = maze_env.PhysicsMaze(engine, mazes.parse(text, num_decisions=8), view=raster.View())
+    env = physics_maze.PhysicsMaze(engine, mazes.parse(text, num_decisions=8), view=raster.View())
 
     def push(obs, key):
         del key
