@@ -87,7 +87,7 @@ class Environment(Protocol):
         ...
 
     def step(self, state: EnvState, action: Array) -> EnvState:
-        """Advances one step. Does not reset: see `envs.wrappers.auto_reset`."""
+        """Advances one step. Does not reset: see `envs.wrappers.AutoReset`."""
         ...
 
 

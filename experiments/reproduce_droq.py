@@ -65,7 +65,7 @@ def main(config: ReproduceConfig) -> None:
     engine = engine_lib.make(robots.load(str(ANT)), "mujoco")
     env, side_xy = forward_run.ForwardRun(engine), (0, 0)
     steps, num_actions = forward_run.EPISODE_STEPS, engine.model.nu
-    learner = system.make(wrappers.auto_reset(env), num_actions, side_xy, steps, options)
+    learner = system.make(wrappers.AutoReset(env), num_actions, side_xy, steps, options)
     baselines.train_in(baselines.Arena("DroQ on Gym's ant", env, side_xy, learner), options)
 
 

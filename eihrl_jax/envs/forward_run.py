@@ -85,7 +85,7 @@ def _state(
     """Puts together what `reset` and `step` return."""
     obs = base.GoalObs(
         xy=jnp.zeros(2),
-        proprioception=jnp.concatenate([run.physics.qpos[2:], run.physics.qvel]),
+        proprioception=run.physics.proprioception,
         goal_xy=jnp.zeros(2),
         time=jnp.float32(0.0),
     )

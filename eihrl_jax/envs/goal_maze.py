@@ -123,7 +123,7 @@ class GoalMaze:
         xy, success = walk.physics.qpos[:2], task.success(self.course, walk.nav)
         obs = base.GoalObs(
             xy=xy,
-            proprioception=jnp.concatenate([walk.physics.qpos[2:], walk.physics.qvel]),
+            proprioception=walk.physics.proprioception,
             goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.course, walk.nav)),
             time=steps / base.TIME_UNIT,
         )

@@ -138,7 +138,7 @@ class MazeVectorEnv(vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.single_observation_space, self.single_action_space = _spaces(env, num_actions)
         self.observation_space = vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = vector.utils.batch_space(self.single_action_space, num_envs)
-        walked = wrappers.auto_reset(env)
+        walked = wrappers.AutoReset(env)
         self._walk = _Walk(
             lambda key: jax.vmap(walked.reset)(jax.random.split(key, num_envs)),
             jax.vmap(walked.step),

@@ -48,7 +48,7 @@ def observe(
 ) -> LowObs:
     """Returns the low level's observation, the same in training and inside the hierarchy."""
     return LowObs(
-        proprioception=jnp.concatenate([physics.qpos[2:], physics.qvel]),
+        proprioception=physics.proprioception,
         displacement_xy=physics.qpos[:2] - subgoal_xy,
         time_left=steps_left.astype(jnp.float32) / robot.steps_per_subgoal,
         direction=direction,

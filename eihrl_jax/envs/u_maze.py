@@ -149,7 +149,7 @@ def _state(
     steps = walk.step.astype(jnp.float32)
     obs = base.GoalObs(
         xy=walk.physics.qpos[:2],
-        proprioception=jnp.concatenate([walk.physics.qpos[2:], walk.physics.qvel]),
+        proprioception=walk.physics.proprioception,
         goal_xy=walk.goal_xy,
         time=steps / base.TIME_UNIT,
     )

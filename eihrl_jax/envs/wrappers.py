@@ -45,8 +45,3 @@ class AutoReset:
         )
         obs = obs if self.observe is None else self.observe(inner)
         return ended.replace(inner=inner, obs=obs, key=key)
-
-
-def auto_reset(env: base.Environment, observe: Callable[[Any], Any] | None = None) -> AutoReset:
-    """Wraps an environment so that a new episode begins right after one has ended."""
-    return AutoReset(env, observe)

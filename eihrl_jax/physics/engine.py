@@ -24,6 +24,11 @@ class PhysicsState(struct.PyTreeNode):
     qvel: Float[Array, " nv"]
     qacc_warmstart: Float[Array, " nv"]
 
+    @property
+    def proprioception(self) -> Float[Array, " P"]:
+        """What the robot feels of itself: qpos without x and y, then qvel."""
+        return jnp.concatenate([self.qpos[2:], self.qvel])
+
 
 @runtime_checkable
 class Engine(Protocol):

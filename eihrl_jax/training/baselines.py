@@ -52,7 +52,7 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
         mazes_in = generators.goals_anywhere(maze)
         trained_in = goal_maze.GoalMaze(engine, mazes_in, reward=config.reward)
     if isinstance(config, config_lib.FlatConfig):
-        trained_in = wrappers.auto_reset(trained_in)
+        trained_in = wrappers.AutoReset(trained_in)
     steps = int(env.course.mazes.num_decisions.max())
     system = system_lib.make(trained_in, engine.model.nu, env.side_xy, steps, config)
     return Arena(f"{config.method} in {config.maze}", env, env.side_xy, system)

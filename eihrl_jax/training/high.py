@@ -126,7 +126,7 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
     if window is not None:
         # A longer window could be cut by the time limit twice.
         checks.in_range("window", window, 1, int(limits.min()))
-        trained_in = wrappers.auto_reset(env, env.observe)
+        trained_in = wrappers.AutoReset(env, env.observe)
     network, learner = actor_critic.make(config.network), config.learner
     if config.task.reward == "dense":
         # What is paid until the limit depends on the time left, which nobody sees: values that end

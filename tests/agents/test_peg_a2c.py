@@ -43,7 +43,7 @@ def make(window=None, **options):
         **options,
     )
     probe = probe_envs.Probe()
-    env = probe if window is None else wrappers.auto_reset(probe)
+    env = probe if window is None else wrappers.AutoReset(probe)
     return peg_a2c.PegA2C(env, Perceptron(), learner, window or probe.length)
 
 

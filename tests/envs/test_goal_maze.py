@@ -54,7 +54,7 @@ def test_goals_pay_once_and_time_is_counted_in_decisions(maze):
 
 
 def test_an_episode_that_follows_another_by_itself_is_walked(maze):
-    env = wrappers.auto_reset(goal_maze.GoalMaze(Sled(), maze))
+    env = wrappers.AutoReset(goal_maze.GoalMaze(Sled(), maze))
     states = roll(env, [EAST] * (3 * 3 * K))
     ends = [t for t, state in enumerate(states) if state.truncated]
     assert ends == [3 * K, 6 * K, 9 * K]

@@ -21,11 +21,11 @@ def rollouts():
         view=raster.View(),
         movement=oracle_maze.Movement(),
     )
-    env = wrappers.auto_reset(plain, plain.observe)
+    env = wrappers.AutoReset(plain, plain.observe)
 
     def step(state, action):
         following = jax.vmap(env.step)(state, action)
-        drawn = jax.vmap(wrappers.auto_reset(plain).step)(state, action).obs
+        drawn = jax.vmap(wrappers.AutoReset(plain).step)(state, action).obs
         return following, (state, following, jax.vmap(plain.step)(state, action), drawn)
 
     @jax.jit
