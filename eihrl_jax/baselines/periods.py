@@ -5,6 +5,7 @@ over; `renew` then begins a new episode.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +14,13 @@ from jaxtyping import Array, Bool, Float, Key
 
 from eihrl_jax import base
 
-Choose = Callable[[base.GoalObs, Bool[Array, ""], Key[Array, ""]], Float[Array, " G"]]
+Choose = Callable[[base.GoalObs, Bool[Array, ""], Key[Array, ""]], Any]
 """The upper level: from what is seen, whether the episode begins, and a key to a subgoal."""
 
-Act = Callable[[base.GoalObs, Float[Array, " G"], Key[Array, ""]], Float[Array, " nu"]]
+Act = Callable[[base.GoalObs, Any, Key[Array, ""]], Float[Array, " nu"]]
 """The lower level: from what is seen, the subgoal as it is now, and a key to an action."""
 
-Move = Callable[[Float[Array, " G"], base.GoalObs, base.GoalObs], Float[Array, " G"]]
+Move = Callable[[Any, base.GoalObs, base.GoalObs], Any]
 """What a subgoal becomes after a step, given what was seen before and after it."""
 
 
@@ -28,7 +29,7 @@ class Period(struct.PyTreeNode):
 
     Attributes:
       obs: before each step.
-      subgoal: float32 [k, N, G], as it was then.
+      subgoal: as it was then, a pytree of the upper level's own.
       action: float32 [k, N, nu], what the lower level did.
       reward: float32 [k, N], of the task.
       is_running: bool [k, N], whether the episode went on through the step; else it doesn't count.
@@ -39,7 +40,7 @@ class Period(struct.PyTreeNode):
     """
 
     obs: base.GoalObs
-    subgoal: Float[Array, "k N G"]
+    subgoal: Any
     action: Float[Array, "k N nu"]
     reward: Float[Array, "k N"]
     is_running: Bool[Array, "k N"]
@@ -81,8 +82,8 @@ def walk(
     subgoal = jax.vmap(choose)(envs.obs, envs.obs.time == 0.0, choose_keys)
 
     def body(
-        carry: tuple[base.EnvState, Array], step_key: Key[Array, ""]
-    ) -> tuple[tuple[base.EnvState, Array], Period]:
+        carry: tuple[base.EnvState, Any], step_key: Key[Array, ""]
+    ) -> tuple[tuple[base.EnvState, Any], Period]:
         envs, subgoal = carry
         action = jax.vmap(act)(envs.obs, subgoal, jax.random.split(step_key, num_envs))
         stepped = jax.vmap(env.step)(envs, action / reach)

@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base, replay
 from eihrl_jax.baselines import periods
-from eihrl_jax.baselines.hess import exploration, learning, memory, representation
+from eihrl_jax.baselines.hess import exploration, learning, representation
+from eihrl_jax.baselines.hess import memory as memory_lib
 from eihrl_jax.config import hess as config_lib
 
 Policy = dict[str, Any]
@@ -38,13 +39,29 @@ class HessState(struct.PyTreeNode):
 
     learned: learning.Learned
     squares: exploration.ExplorationState
-    episodes: memory.Episodes
+    episodes: memory_lib.Episodes
     high_memory: replay.Replay
     envs: base.EnvState
     key: Key[Array, ""]
     success: Float[Array, ""]
     miss: Float[Array, ""]
     num_steps: Int[Array, ""]
+
+
+class Chosen(struct.PyTreeNode):
+    """A subgoal while exploring; places in the subgoal space.
+
+    Attributes:
+      target: float32 [2], where to go.
+      action: float32 [2], the manager's action that leads there.
+      place: float32 [2], the place that was chosen, of which the target may lie beyond.
+      is_exploring: whether exploration chose it.
+    """
+
+    target: Float[Array, "2"]
+    action: Float[Array, "2"]
+    place: Float[Array, "2"]
+    is_exploring: Bool[Array, ""]
 
 
 class HessMemory(struct.PyTreeNode):
@@ -103,7 +120,7 @@ class Hess:
         num_envs, capacity = self.options.num_envs, self.options.capacity
         per_round = num_envs * self._num_periods
         high_capacity = -(-self.options.high_capacity // per_round) * per_round
-        episodes = memory.init(capacity, self.options.period, self._num_periods, self._sizes)
+        episodes = memory_lib.init(capacity, self.options.period, self._num_periods, self._sizes)
         return HessState(
             learned=self._learning.init(episodes.action.shape[1], learned_key),
             squares=exploration.init(),
@@ -192,19 +209,13 @@ class Hess:
     def _walk_round(
         self, state: HessState, key: Key[Array, ""]
     ) -> tuple[base.EnvState, periods.Period]:
-        """Walks one episode in every environment; leading axes [J, c, N].
-
-        A subgoal has seven entries: where to go in the subgoal space; the manager's action, which
-        leads there; the place that was chosen, of which this may lie beyond; and whether
-        exploration chose it.
-        """
+        """Walks one episode in every environment; leading axes [J, c, N]."""
         params = state.learned.space.params
 
-        def act(obs: base.GoalObs, subgoal: Array, key: Key[Array, ""]) -> Array:
+        def act(obs: base.GoalObs, subgoal: Chosen, key: Key[Array, ""]) -> Array:
             seen = self.see(obs)
-            features = jnp.concatenate(
-                [seen, self._learning.space.place(params, seen), subgoal[:2]]
-            )
+            place = self._learning.space.place(params, seen)
+            features = jnp.concatenate([seen, place, subgoal.target])
             action = self._learning.controller.act(state.learned.controller.actor_params, features)
             return self._learning.controller.explore(action, key)
 
@@ -228,8 +239,8 @@ class Hess:
         obs: base.GoalObs,
         is_first: Bool[Array, ""],
         key: Key[Array, ""],
-    ) -> Float[Array, "7"]:
-        """Chooses where to go while exploring: see `_walk_round`."""
+    ) -> Chosen:
+        """Chooses where to go while exploring."""
         del is_first
         options = self.options.exploration
         share_key, act_key, any_key, draw_key, select_key = jax.random.split(key, 5)
@@ -242,7 +253,7 @@ class Hess:
         drawn = jax.random.uniform(any_key, own.shape, minval=-reach, maxval=reach)
         own = jnp.where(state.num_steps < self.options.random_steps, drawn, own)
 
-        drawn_steps = memory.sample(state.episodes, (options.num_candidates,), draw_key)
+        drawn_steps = memory_lib.sample(state.episodes, (options.num_candidates,), draw_key)
         candidates = self._learning.space.place(params, drawn_steps.obs)
         has_potential = state.num_steps >= options.potential_step
         chosen = exploration.select(
@@ -254,32 +265,30 @@ class Hess:
         is_exploring = jax.random.bernoulli(share_key, self._exploring_share(state))
         action = jnp.where(is_exploring, way + beyond, own)
         place = jnp.where(is_exploring, chosen, here + own)
-        return jnp.concatenate(
-            [here + action, action, place, is_exploring.astype(jnp.float32)[None]]
-        )
+        return Chosen(target=here + action, action=action, place=place, is_exploring=is_exploring)
 
     def _remember(self, state: HessState, walked: periods.Period) -> HessState:
         """Stores a round, and counts where it led, once the subgoal space has been trained."""
         space = state.learned.space
         batch = self._episode_batch(space.params, walked)
         reached = batch.place[:, self.options.period :: self.options.period]
-        chosen = walked.subgoal[:, 0].swapaxes(0, 1)
+        chosen = jax.tree.map(lambda leaf: leaf[:, 0].swapaxes(0, 1), walked.subgoal)
         # A robot whose episode has ended at its goal doesn't go on to its subgoal.
         has_ended = walked.terminated[:, -1].T
-        is_selected = walked.is_running[:, 0].T & (chosen[..., 6] > 0.0) & ~has_ended
+        is_selected = walked.is_running[:, 0].T & chosen.is_exploring & ~has_ended
         square = self.options.exploration.square
         steps = jnp.arange(batch.place.shape[1], dtype=jnp.int32)
         was_there = (steps[None] <= batch.length[:, None]) & (space.num_blocks > 0)
         squares = exploration.visit(state.squares, batch.place, was_there, square)
         distance = jnp.sqrt(jnp.square(batch.subgoal - reached).sum(-1))
         distance = jnp.where(is_selected, distance, 0.0)
-        squares = exploration.miss(squares, chosen[..., 4:6], distance, square)
+        squares = exploration.miss(squares, chosen.place, distance, square)
         is_end = walked.is_running & (walked.terminated | walked.truncated)
         num_solved = (is_end & (walked.metrics["success"] == 1.0)).sum(dtype=jnp.float32)
         success = num_solved / jnp.maximum(is_end.sum(dtype=jnp.float32), 1.0)
         return state.replace(
             squares=squares,
-            episodes=memory.add(state.episodes, batch),
+            episodes=memory_lib.add(state.episodes, batch),
             high_memory=replay.add(state.high_memory, self._subgoal_rows(walked)),
             success=(1.0 - _RECENT) * state.success + _RECENT * success,
             miss=self._recent_miss(state, distance.sum(1).mean()),
@@ -301,7 +310,7 @@ class Hess:
         is_due = state.num_steps // options.every > before // options.every
         # Before anything has been counted, places that hold much would be the least novel ones.
         is_due &= state.squares.visits.any()
-        obs, is_there = memory.period_ends(state.episodes)
+        obs, is_there = memory_lib.period_ends(state.episodes)
         place = self._learning.space.place(state.learned.space.params, obs)
         return jax.lax.cond(
             is_due,
@@ -310,7 +319,7 @@ class Hess:
             state.squares,
         )
 
-    def _episode_batch(self, params: Any, walked: periods.Period) -> memory.Episodes:
+    def _episode_batch(self, params: Any, walked: periods.Period) -> memory_lib.Episodes:
         """Returns a round as episodes."""
         see = jax.vmap(jax.vmap(jax.vmap(self.see)))
         obs, last = see(walked.obs), see(walked.next_obs)[-1, -1]
@@ -318,11 +327,11 @@ class Hess:
         seen = jnp.concatenate([by_time, last[:, None]], axis=1)
         action = walked.action.reshape(-1, *walked.action.shape[2:]).swapaxes(0, 1)
         running = walked.is_running.reshape(-1, walked.is_running.shape[-1])
-        return memory.Episodes(
+        return memory_lib.Episodes(
             obs=seen,
             place=self._learning.space.place(params, seen),
             action=action,
-            subgoal=walked.subgoal[:, 0, :, :2].swapaxes(0, 1),
+            subgoal=walked.subgoal.target[:, 0].swapaxes(0, 1),
             length=running.sum(0, dtype=jnp.int32),
             position=jnp.int32(0),
         )
@@ -339,7 +348,7 @@ class Hess:
         rows = learning.SubgoalRow(
             transition=base.Transition(
                 obs=see(first),
-                action=walked.subgoal[:, 0, :, 2:4],
+                action=walked.subgoal.action[:, 0],
                 reward=periods.paid(walked, self.options.costs_time, self.options.reward).sum(1),
                 discount=self.options.manager.gamma * (1.0 - ends.astype(jnp.float32)),
                 next_obs=see(last),
@@ -350,7 +359,7 @@ class Hess:
 
 
 def _with_new_episodes(
-    state: HessState, batch: memory.Episodes
+    state: HessState, batch: memory_lib.Episodes
 ) -> representation.RepresentationState:
     """Returns the subgoal space, for which new episodes have taken the place of the oldest."""
     space = state.learned.space
