@@ -160,20 +160,30 @@ HIGH = {"best": high_best(), "paper": high_paper(), "generalist": high_generalis
 
 
 def higl() -> higl_config.HiglConfig:
-    """HIGL, as released but for what is wrong there (Kim et al. 2021)."""
-    return higl_config.HiglConfig(method="higl")
+    """HIGL, as released but for what is wrong there, and with landmarks for our mazes.
+
+    There are as many as the release has in its large mazes: fewer lie farther apart than the
+    cutoff, and the graph falls to pieces. Our goals end an episode at their rim, so that no landmark comes
+    to lie in one: a goal is followed itself from as far off as a landmark would be. Levels that see
+    the time know the limit, which is an end as in the released code (Kim et al. 2021).
+    """
+    landmarks = higl_config.Landmarks(num_coverage=60, num_novel=60, near=-38.0)
+    return higl_config.HiglConfig(method="higl", landmarks=landmarks, is_limit_terminal=True)
 
 
 def hrac() -> higl_config.HiglConfig:
     """HRAC: subgoals held to what is adjacent, within a period's steps (Zhang et al. 2020)."""
     return higl_config.HiglConfig(
-        method="hrac", guidance="adjacency", adjacency=higl_config.Adjacency(steps=9)
+        method="hrac",
+        guidance="adjacency",
+        adjacency=higl_config.Adjacency(steps=9),
+        is_limit_terminal=True,
     )
 
 
 def hiro() -> higl_config.HiglConfig:
     """HIRO: subgoals as the manager likes them (Nachum et al. 2018)."""
-    return higl_config.HiglConfig(method="hiro", guidance="none")
+    return higl_config.HiglConfig(method="hiro", guidance="none", is_limit_terminal=True)
 
 
 def hess() -> hess_config.HessConfig:

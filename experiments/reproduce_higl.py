@@ -63,6 +63,8 @@ def main(config: ReproduceConfig) -> None:
         num_steps=config.num_steps,
         updates_per_step=config.updates_per_step,
         costs_time=False,
+        is_limit_terminal=False,
+        landmarks=higl_config.Landmarks(),
         evaluate_every=2,
         checkpoint_every=10,
         num_eval_episodes=50,

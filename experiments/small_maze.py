@@ -93,6 +93,7 @@ def _short_higl(preset: higl_config.HiglConfig) -> higl_config.HiglConfig:
     preset = dataclasses.replace(
         preset,
         num_steps=60_000,
+        is_limit_terminal=False,
         manager=dataclasses.replace(preset.manager, reach=3.0),
         controller=dataclasses.replace(
             preset.controller, reach=1.0, noise=0.3, target_noise=0.1, target_clip=0.3
@@ -109,7 +110,7 @@ def _short_higl(preset: higl_config.HiglConfig) -> higl_config.HiglConfig:
         preset,
         landmark_distance=0.5,
         adjacency=dataclasses.replace(preset.adjacency, steps=6),
-        landmarks=dataclasses.replace(preset.landmarks, first_step=10_000),
+        landmarks=higl_config.Landmarks(first_step=10_000),
     )
 
 

@@ -112,7 +112,8 @@ class Landmarks:
       novelty_rate: learning rate of the one that predicts the other.
       first_step: control steps of all environments before which there is no landmark.
       cutoff: least value of an edge; HIGL's -38, made for cells of 4 units.
-      near: value of a goal that is near enough to be followed itself.
+      near: value of a goal that is near enough to be followed itself; released for goals that are
+        walked about in, where landmarks come to lie.
       num_first: nearest landmarks, among which the first one to go to is chosen; those farther off
         lie beyond the cutoff as a rule, and the released code looks at all of them.
       heat: inverse temperature of the softmax that stands for the best path.

@@ -163,7 +163,7 @@ def test_limits_of_view_movement_and_rooms_are_told_before_there_is_a_run(
     task = dataclasses.replace(config.task, **{"maze": "random"} | options)
     with pytest.raises(base.UserError, match=message):
         high.train(dataclasses.replace(config, task=task))
-    assert not config.run.exists()
+    assert not any(config.run.iterdir())
 
 
 def test_measured_walking_takes_the_place_of_the_nominal(tmp_path):
