@@ -156,14 +156,16 @@ def test_options_out_of_range(part, options, message):
         ),
     ],
 )
-def test_limits_of_view_movement_and_rooms_are_told_before_there_is_a_run(
-    tmp_path, options, message
-):
-    config = tiny(tmp_path)
-    task = dataclasses.replace(config.task, **{"maze": "random"} | options)
+def test_limits_of_view_movement_and_rooms_are_told(options, message):
     with pytest.raises(base.UserError, match=message):
-        high.train(dataclasses.replace(config, task=task))
-    assert not any(config.run.iterdir())
+        high.make_env(high_config.Task(**options))
+
+
+def test_limits_are_told_before_there_is_a_run(tmp_path):
+    task = high_config.Task(pixels=200)
+    with pytest.raises(base.UserError, match="pixels = 200"):
+        high.train(high_config.HighConfig(run=tmp_path / "run", task=task))
+    assert not (tmp_path / "run").exists()
 
 
 def test_measured_walking_takes_the_place_of_the_nominal(tmp_path):
