@@ -163,9 +163,9 @@ def higl() -> higl_config.HiglConfig:
     """HIGL, as released but for what is wrong there, and with landmarks for our mazes.
 
     There are as many as the release has in its large mazes: fewer lie farther apart than the
-    cutoff, and the graph falls to pieces. Our goals end an episode at their rim, so that no landmark comes
-    to lie in one: a goal is followed itself from as far off as a landmark would be. Levels that see
-    the time know the limit, which is an end as in the released code (Kim et al. 2021).
+    cutoff, and the graph falls to pieces. Our goals end an episode at their rim, so that no
+    landmark comes to lie in one: a goal is followed itself from as far off as a landmark would be.
+    Levels that see the time know the limit, which is an end as released (Kim et al. 2021).
     """
     landmarks = higl_config.Landmarks(num_coverage=60, num_novel=60, near=-38.0)
     return higl_config.HiglConfig(method="higl", landmarks=landmarks, is_limit_terminal=True)
