@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
 
@@ -120,6 +120,16 @@ def has_arrived(period: Period, reward: base.Reward) -> Bool[Array, "*P k N"]:
     return jnp.cumsum(is_new_goal, axis=-2) > 0
 
 
+def is_task_over(period: Period, reward: base.Reward) -> Bool[Array, "*P N"]:
+    """Tells in which periods the upper level's task has ended: see `has_arrived`.
+
+    A simulation that breaks down is no end without a value: where time costs, nothing costs less.
+    """
+    is_broken = period.metrics["broke_down"][..., -1, :] > 0.0
+    is_over = period.terminated[..., -1, :] & ~is_broken
+    return is_over | has_arrived(period, reward)[..., -1, :]
+
+
 def paid(period: Period, costs_time: bool, reward: base.Reward) -> Float[Array, "*P k N"]:
     """Returns the task's rewards of steps that count, 0 of others: see `has_arrived`.
 
@@ -134,18 +144,27 @@ def paid(period: Period, costs_time: bool, reward: base.Reward) -> Float[Array, 
     return jnp.where(period.is_running & ~was_there, found, 0.0)
 
 
+def is_end(period: Period) -> Bool[Array, "*P k N"]:
+    """Tells which steps ended an episode."""
+    return period.is_running & (period.terminated | period.truncated)
+
+
+def is_due(num_steps: Int[Array, ""], steps_per_round: int, every: int) -> Bool[Array, ""]:
+    """Tells whether the last round went past a multiple of `every` control steps."""
+    return num_steps // every > (num_steps - steps_per_round) // every
+
+
 def summarise(period: Period) -> dict[str, Float[Array, ""]]:
     """Returns the metrics of the episodes that ended, see `sum_ends`; leading axes any."""
-    is_end = period.is_running & (period.terminated | period.truncated)
-    return sum_ends(is_end, period.metrics)
+    return sum_ends(is_end(period), period.metrics)
 
 
 def sum_ends(
-    is_end: Bool[Array, "*N"], metrics: dict[str, Float[Array, "*N"]]
+    ended: Bool[Array, "*N"], metrics: dict[str, Float[Array, "*N"]]
 ) -> dict[str, Float[Array, ""]]:
     """Returns sums of metrics over the ends of episodes, as `sum_<name>`, and their number."""
-    sums = {f"sum_{name}": jnp.where(is_end, each, 0.0).sum() for name, each in metrics.items()}
-    return sums | {"episodes": is_end.sum(dtype=jnp.float32)}
+    sums = {f"sum_{name}": jnp.where(ended, each, 0.0).sum() for name, each in metrics.items()}
+    return sums | {"episodes": ended.sum(dtype=jnp.float32)}
 
 
 def renew(env: base.Environment, envs: base.EnvState, is_over: Bool[Array, " N"]) -> base.EnvState:

@@ -19,9 +19,9 @@ class ExplorationState(struct.PyTreeNode):
     """What is known about the squares of the subgoal space.
 
     Attributes:
-      visits: float32 [M, M], states that lay in each; M: `NUM_SQUARES`.
-      novelty: float32 [M, M], mean discounted visits from there on; small where it is new.
-      misses: float32 [M, M], sum of the distances by which subgoals there were missed.
+      visits: float32 [S, S], states that lay in each; S: `NUM_SQUARES`.
+      novelty: float32 [S, S], mean discounted visits from there on; small where it is new.
+      misses: float32 [S, S], sum of the distances by which subgoals there were missed.
     """
 
     visits: Float[Array, "S S"]

@@ -8,6 +8,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base, replay
+from eihrl_jax.baselines import periods
 from eihrl_jax.baselines.hess import levels, memory, representation
 from eihrl_jax.config import hess as config_lib
 
@@ -127,8 +128,7 @@ class Learning:
         Once trained, it is frozen as soon as `miss`, see `HessState`, is little.
         """
         options = self._options.representation
-        before = num_steps - self._steps_per_round
-        is_due = num_steps // options.every > before // options.every
+        is_due = periods.is_due(num_steps, self._steps_per_round, options.every)
         stability = jnp.where(
             num_steps > options.late_step, options.late_stability, options.stability
         )

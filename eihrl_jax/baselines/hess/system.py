@@ -283,7 +283,7 @@ class Hess:
         distance = jnp.sqrt(jnp.square(batch.subgoal - reached).sum(-1))
         distance = jnp.where(is_selected, distance, 0.0)
         squares = exploration.miss(squares, chosen.place, distance, square)
-        is_end = walked.is_running & (walked.terminated | walked.truncated)
+        is_end = periods.is_end(walked)
         num_solved = (is_end & (walked.metrics["success"] == 1.0)).sum(dtype=jnp.float32)
         success = num_solved / jnp.maximum(is_end.sum(dtype=jnp.float32), 1.0)
         return state.replace(
@@ -306,8 +306,7 @@ class Hess:
     def _look_ahead(self, state: HessState) -> exploration.ExplorationState:
         """Computes the novelty of places anew where that is due."""
         options = self.options.exploration
-        before = state.num_steps - self.steps_per_round
-        is_due = state.num_steps // options.every > before // options.every
+        is_due = periods.is_due(state.num_steps, self.steps_per_round, options.every)
         # Before anything has been counted, places that hold much would be the least novel ones.
         is_due &= state.squares.visits.any()
         obs, is_there = memory_lib.period_ends(state.episodes)
@@ -341,10 +340,7 @@ class Hess:
         see = jax.vmap(jax.vmap(self._manager_features))
         first = jax.tree.map(lambda leaf: leaf[:, 0], walked.obs)
         last = jax.tree.map(lambda leaf: leaf[:, -1], walked.next_obs)
-        # A simulation that breaks down is no end without a value: nothing costs less.
-        has_broken = walked.metrics["broke_down"][:, -1] > 0.0
-        has_arrived = periods.has_arrived(walked, self.options.reward)
-        ends = (walked.terminated[:, -1] | has_arrived[:, -1]) & ~has_broken
+        ends = periods.is_task_over(walked, self.options.reward)
         rows = learning.SubgoalRow(
             transition=base.Transition(
                 obs=see(first),

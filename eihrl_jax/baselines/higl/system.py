@@ -123,7 +123,7 @@ class Higl:
         )
         if self.options.guidance != "none":
             every = self.options.adjacency.period
-            is_due = num_steps // every > state.num_steps // every
+            is_due = periods.is_due(num_steps, self.options.steps_per_round, every)
             learned, metrics["adjacency_loss"] = self._learning.fit_places(learned, is_due, fit_key)
         state = HiglState(
             learned=learned,
@@ -214,9 +214,6 @@ class Higl:
             is_end=walked.terminated | walked.truncated,
             is_running=walked.is_running,
         )
-        has_arrived = periods.has_arrived(walked, self.options.reward)
-        # A simulation that breaks down is no end without a value: nothing costs less.
-        has_broken = walked.metrics["broke_down"][:, -1] > 0.0
         subgoals = relabelling.SubgoalRow(
             obs=obs.swapaxes(1, 2),
             action=walked.action.swapaxes(1, 2),
@@ -226,7 +223,7 @@ class Higl:
             reward=periods.paid(walked, self.options.costs_time, self.options.reward).sum(1),
             next_obs=next_obs[:, -1],
             next_goal_xy=jax.vmap(jax.vmap(self._centred))(walked.next_obs.goal_xy[:, -1]),
-            terminated=(walked.terminated[:, -1] & ~has_broken) | has_arrived[:, -1],
+            terminated=periods.is_task_over(walked, self.options.reward),
             truncated=walked.truncated[:, -1],
         )
         return _flat(steps, 3), _flat(subgoals, 2)
