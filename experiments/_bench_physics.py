@@ -4,6 +4,7 @@ Times that are compared are taken in turns, and the shortest of each side counts
 machine does can only lengthen them.
 """
 
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -90,6 +91,38 @@ def maze_cost_ratio(
     spiral, random = _in_turns(runs[0], runs[1], repeats, clock)
     unit = 1e6 / (num_envs * num_steps)
     return {"spiral": unit * spiral, "random": unit * random, "ratio": spiral / random}
+
+
+def throughput(
+    sizes: tuple[int, ...], num_steps: int = 10, repeats: int = 3
+) -> list[dict[str, Any]]:
+    """Measures both engines' rates by the number of ants that are stepped at once.
+
+    Ants start where episodes of the Random Square start and push at random; finding the walls near
+    them is included, learning isn't.
+
+    Args:
+      sizes: numbers of ants.
+      num_steps: control steps per measurement.
+      repeats: measurements, of which the fastest counts.
+
+    Returns:
+      One row for each engine and number of ants: `engine`, `num_envs`, and `rate`, control steps of
+      all ants together per second.
+    """
+    rows = []
+    maze = mazes.load("random")
+    for name, num_envs in itertools.product(base.ENGINES, sizes):
+        engine = engine_lib.make(robots.load("ant"), name)
+        keys = jax.random.split(jax.random.key(0), num_envs)
+        start = _standing(engine, jax.vmap(mazes.maze.draw_start, in_axes=(None, 0))(maze, keys))
+        ctrls = _random_ctrls(engine, num_steps, num_envs)
+        roll = jax.jit(
+            lambda state, engine=engine, ctrls=ctrls: _roll(engine, maze, state, ctrls)[0]
+        )
+        seconds, _ = _in_turns(lambda roll=roll, start=start: roll(start), lambda: None, repeats)
+        rows.append({"engine": name, "num_envs": num_envs, "rate": num_envs * num_steps / seconds})
+    return rows
 
 
 def engine_deviations(num_envs: int = 16, num_steps: int = 50) -> list[dict[str, Any]]:

@@ -6,6 +6,8 @@ import pathlib
 from collections.abc import Callable
 from typing import Any, Literal, get_args
 
+import jax
+
 from eihrl_jax import base
 from eihrl_jax.config import checks
 from eihrl_jax.training import parallel, versions
@@ -15,12 +17,15 @@ Part = Literal[
     "speed",
     "interface",
     "maze_cost",
+    "throughput",
     "engines",
     "episodes",
     "walking",
     "updates",
     "peers",
 ]
+
+_BATCHES = {"cpu": (64, 512), "gpu": (64, 1024, 8192)}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -66,6 +71,7 @@ def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
             name: _bench_physics.maze_cost_ratio(name, num_envs=num_envs, repeats=repeats)
             for name, num_envs, repeats in (("mujoco", 256, 15), ("mjx", 32, 12))
         },
+        "throughput": lambda: _bench_physics.throughput(_BATCHES[jax.default_backend()]),
         "engines": _bench_physics.engine_deviations,
         "walking": _bench_low.walking_rate,
         "updates": _bench_low.updates_per_second,
@@ -99,6 +105,12 @@ def _rows(part: str, result: Any) -> list[str]:
             f"| cost of a control step, Spiral against Random Square, {name} | "
             f"{100 * (item['ratio'] - 1):+.1f} % |"
             for name, item in result.items()
+        ]
+    if part == "throughput":
+        return [
+            f"| {row['num_envs']:,} ants at once, {row['engine']} | "
+            f"{row['rate']:,.0f} control steps/s |"
+            for row in result
         ]
     if part == "engines":
         return [_engines_row(row) for row in result]

@@ -161,7 +161,13 @@ def _shortened(preset: baselines_config.BaselineConfig) -> baselines_config.Base
         # One update of the actor and the temperature per control step, as the preset and the
         # released code have it: the period counts critic updates.
         learner = dataclasses.replace(preset.learner, actor_period=1)
-        return dataclasses.replace(preset, learner=learner, updates_per_step=1, capacity=200_000)
+        return dataclasses.replace(
+            preset,
+            learner=learner,
+            updates_per_step=1,
+            capacity=200_000,
+            evaluate_every=_EVALUATE_EVERY,  # A row is 1,000 steps here, 5,000 of the others.
+        )
     if isinstance(preset, higl_config.HiglConfig):
         return dataclasses.replace(
             preset,
