@@ -25,7 +25,7 @@ Part = Literal[
     "peers",
 ]
 
-_BATCHES = {"cpu": (64, 512), "gpu": (64, 1024, 8192)}
+_BATCHES = {"cpu": (16, 64), "gpu": (64, 1024, 8192)}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
