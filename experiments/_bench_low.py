@@ -1,7 +1,6 @@
 """Measurements of the low level for `experiments.benchmark`: learner and walking, as ratios."""
 
 import itertools
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +15,7 @@ from eihrl_jax.envs import locomotion, rooms, wrappers
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import scene
 from eihrl_jax.training import low
+from experiments import _timing
 
 NUM_FEATURES, NUM_ACTIONS, CAPACITY, BATCH = 35, 8, 100_000, 256
 """An ant of preset `paper` with a memory that doesn't fit into caches."""
@@ -43,7 +43,9 @@ def updates_per_second(num_updates: int = 400, repeats: int = 5) -> dict[str, An
       base.UserError: sbx isn't installed.
     """
     theirs = _sbx(num_updates)
-    times = _shortest({"ours": _ours(num_updates), "sbx": theirs, "matmul": _matmul()}, repeats)
+    times = _timing.shortest(
+        {"ours": _ours(num_updates), "sbx": theirs, "matmul": _matmul()}, repeats
+    )
     rate = 2.0 * _SIZE**3 / times["matmul"]
     found = {name: num_updates / times[name] for name in ("ours", "sbx")}
     limit = rate / flops_per_update()
@@ -107,7 +109,7 @@ def walking_rate(num_steps: int = 100, repeats: int = 5) -> dict[str, float]:
     )
     walk = _scan(walk_one, envs, keys)
     step = _scan(step_one, envs.inner.physics, ctrls)
-    times = _shortest({"walking": walk, "engine": step}, repeats)
+    times = _timing.shortest({"walking": walk, "engine": step}, repeats)
     count = num_steps * config.num_envs
     rates = {name: count / seconds for name, seconds in times.items()}
     return rates | {"ratio": rates["walking"] / rates["engine"]}
@@ -199,16 +201,3 @@ def _matmul() -> Callable[[], Any]:
     factor = jnp.asarray(np.random.default_rng(0).normal(size=(_SIZE, _SIZE)), jnp.float32)
     product = jax.jit(jnp.matmul)
     return lambda: jax.block_until_ready(product(factor, factor))
-
-
-def _shortest(functions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
-    """Returns the shortest times of functions called in turns, compilation left out; s."""
-    for function in functions.values():
-        function()
-    times: dict[str, list[float]] = {name: [] for name in functions}
-    for _ in range(repeats):
-        for name, function in functions.items():
-            begin = time.perf_counter()
-            function()
-            times[name].append(time.perf_counter() - begin)
-    return {name: min(values) for name, values in times.items()}

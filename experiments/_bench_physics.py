@@ -5,7 +5,6 @@ machine does can only lengthen them.
 """
 
 import itertools
-import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -18,6 +17,7 @@ from mujoco import batch as mujoco_batch
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import scene, walls
+from experiments import _timing
 
 
 def interface_ratio(
@@ -56,9 +56,9 @@ def interface_ratio(
             alone.bind("ctrl")[:] = ctrl
             alone.step(nstep=engine.robot.num_substeps)
 
-    ours, theirs = _in_turns(lambda: roll(start, ctrls), run_alone, repeats)
-    count = num_envs * num_steps
-    return {"ours": count / ours, "alone": count / theirs, "ratio": theirs / ours}
+    times = _timing.shortest({"ours": lambda: roll(start, ctrls), "alone": run_alone}, repeats)
+    rates = {name: num_envs * num_steps / seconds for name, seconds in times.items()}
+    return rates | {"ratio": rates["ours"] / rates["alone"]}
 
 
 def maze_cost_ratio(
@@ -80,17 +80,17 @@ def maze_cost_ratio(
     """
     engine = engine_lib.make(robots.load("ant"), engine_name)
     ctrls = _random_ctrls(engine, num_steps, num_envs)
-    runs = []
+    runs = {}
     for name in ("spiral", "random"):
         maze = mazes.load(name)
         keys = jax.random.split(jax.random.key(0), num_envs)
         start = _standing(engine, jax.vmap(mazes.maze.draw_start, in_axes=(None, 0))(maze, keys))
         roll = jax.jit(lambda state, maze=maze: _roll(engine, maze, state, ctrls)[0])
-        runs.append(lambda roll=roll, start=start: roll(start))
+        runs[name] = lambda roll=roll, start=start: roll(start)
     clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
-    spiral, random = _in_turns(runs[0], runs[1], repeats, clock)
-    unit = 1e6 / (num_envs * num_steps)
-    return {"spiral": unit * spiral, "random": unit * random, "ratio": spiral / random}
+    times = _timing.shortest(runs, repeats, clock)
+    costs = {name: 1e6 * seconds / (num_envs * num_steps) for name, seconds in times.items()}
+    return costs | {"ratio": costs["spiral"] / costs["random"]}
 
 
 def throughput(
@@ -120,7 +120,8 @@ def throughput(
         roll = jax.jit(
             lambda state, engine=engine, ctrls=ctrls: _roll(engine, maze, state, ctrls)[0]
         )
-        seconds, _ = _in_turns(lambda roll=roll, start=start: roll(start), lambda: None, repeats)
+        run = {name: lambda roll=roll, start=start: roll(start)}
+        seconds = _timing.shortest(run, repeats)[name]
         rows.append({"engine": name, "num_envs": num_envs, "rate": num_envs * num_steps / seconds})
     return rows
 
@@ -220,20 +221,3 @@ def _random_ctrls(engine: engine_lib.Engine, num_steps: int, num_envs: int) -> j
     """Draws controls [T, N, nu], uniform in [-1, 1]."""
     shape = (num_steps, num_envs, engine.model.nu)
     return jax.random.uniform(jax.random.key(1), shape, minval=-1.0, maxval=1.0)
-
-
-def _in_turns(
-    first: Callable[[], Any],
-    second: Callable[[], Any],
-    repeats: int,
-    clock: Callable[[], float] = time.perf_counter,
-) -> tuple[float, float]:
-    """Returns the shortest times of two functions called alternately, compilation left out; s."""
-    jax.block_until_ready((first(), second()))
-    shortest = [math.inf, math.inf]
-    for _ in range(repeats):
-        for i, function in enumerate((first, second)):
-            begin = clock()
-            jax.block_until_ready(function())
-            shortest[i] = min(shortest[i], clock() - begin)
-    return shortest[0], shortest[1]
