@@ -25,8 +25,8 @@ Part = Literal[
     "peers",
 ]
 
-_BATCHES, _CPU_BATCHES = (64, 1024, 8192), (16, 64)
-"""Ants at once. On a processor a step of MJX with 256 or more of them was seen to hang."""
+_BATCHES, _CPU_BATCHES = (64, 1024, 8192), (16, 64, 256)
+"""Ants at once."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -57,7 +57,7 @@ class MjxEngine:
             ctrl=ctrl.astype(jnp.float32),
             mocap_pos=jnp.concatenate([walls_xy.astype(jnp.float32), mocap_z], 1),
         )
-        with _lenient_promotion():
+        with _lenient_promotion(), _safe_cholesky():
             data = jax.lax.fori_loop(
                 0, self.robot.num_substeps, lambda _, d: self._physics_step(d), data
             )
@@ -106,3 +106,34 @@ def _lenient_promotion() -> Iterator[None]:
     """Lets MJX, which relies on JAX's default promotions, be traced where they are forbidden."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
+
+
+@contextlib.contextmanager
+def _safe_cholesky() -> Iterator[None]:
+    """Lets MJX be traced without LAPACK's Cholesky on a CPU, which may wait forever.
+
+    jaxlib before 0.11.2 divides a large batch among the threads of its pool, and one of them waits
+    for the others; as many factorisations at once as there are threads wait for each other. The
+    mass matrix of the implicit integrator and that of the forward dynamics are such: 256 ants on
+    two cores hung.
+    """
+    if jax.default_backend() != "cpu":
+        yield
+        return
+    original = jax.scipy.linalg.cho_factor
+    jax.scipy.linalg.cho_factor = _cho_factor
+    try:
+        yield
+    finally:
+        jax.scipy.linalg.cho_factor = original
+
+
+def _cho_factor(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], bool]:
+    """`jax.scipy.linalg.cho_factor` of a real matrix, column by column in JAX; its upper factor."""
+    rows = jnp.arange(len(matrix))
+
+    def fill(k: Array, lower: Float[Array, "n n"]) -> Float[Array, "n n"]:
+        column = matrix[:, k] - lower @ lower[k]
+        return lower.at[:, k].set(jnp.where(rows < k, 0.0, column / jnp.sqrt(column[k])))
+
+    return jax.lax.fori_loop(0, len(matrix), fill, jnp.zeros_like(matrix)).T, False

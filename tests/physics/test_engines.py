@@ -97,6 +97,14 @@ def test_jit_eager_loop_and_scan_agree(ant, standing, parked, random_ctrls):
     chex.assert_trees_all_equal(take(nested, np.s_[:, 0]), expected[0])
 
 
+def test_mjx_on_a_cpu_shares_no_cholesky_among_threads(mjx_step, ant, standing, parked):
+    """LAPACK's waits forever there for 256 ants and more; see `mjx_engine._safe_cholesky`."""
+    ctrls = jnp.zeros((256, ant.model.nu))
+    lowered = mjx_step.lower(standing(ant, 256), ctrls, parked(ant, 256)).as_text()
+    assert "while" in lowered
+    assert "potrf" not in lowered
+
+
 @pytest.mark.slow
 def test_mjx_under_scan_and_batch_sizes(mjx_step, ant, standing, parked, random_ctrls):
     """MJX gives a robot the same steps alone as in a batch, up to float32 rounding."""
