@@ -224,14 +224,6 @@ def test_a_trained_subgoal_space_is_frozen_once_little_is_missed(miss, num_block
     assert bool(found.space.is_frozen) == frozen
 
 
-class Breaking(sled.Sled):
-    """Stands in for a simulation that breaks down at once."""
-
-    def step(self, state, ctrl, walls_xy):
-        del ctrl, walls_xy
-        return state.replace(qpos=state.qpos.at[7].set(jnp.nan))
-
-
 class Jump(sled.Sled):
     """Stands in for a robot that is at the goal, one cell east, after a step."""
 
@@ -263,7 +255,7 @@ def walked_rows(state):
 
 
 def test_breaking_down_is_not_worth_arriving():
-    rows = walked_rows(after_a_round(Breaking, 0))
+    rows = walked_rows(after_a_round(sled.Breaking, 0))
     np.testing.assert_allclose(rows.discount, 0.99)
     np.testing.assert_array_equal(rows.reward, -1.0)
     rows = walked_rows(after_a_round(Jump, 0))

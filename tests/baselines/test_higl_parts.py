@@ -36,6 +36,9 @@ def test_places_of_different_episodes_are_not_adjacent():
     is_end = NO.at[2, 0].set(True)
     table = np.asarray(network.mark(network.init(jax.random.key(0)), LINE, YES, is_end).table)
     assert table[1, 2] and table[3, 4] and not table[:3, 3:].any()
+    stopped = YES.at[2, 0].set(False)  # The end itself doesn't count where a simulation broke down.
+    table = np.asarray(network.mark(network.init(jax.random.key(0)), LINE, stopped, is_end).table)
+    assert table[0, 1] and table[3, 4] and not table[:3, 3:].any()
     is_running = YES.at[3, 0].set(False)
     table = np.asarray(network.mark(network.init(jax.random.key(0)), LINE, is_running, NO).table)
     assert not table[3].any() and table[2, 4]
@@ -83,9 +86,9 @@ def test_a_walk_of_small_steps_leaves_its_most_novel_places_apart():
     assert found.score[0] == pytest.approx(max(alone))
 
 
-@pytest.mark.parametrize("costs_time", [False, True])
-def test_the_manager_is_paid_per_control_step_as_released(costs_time):
-    env = goal_maze.GoalMaze(sled.Stuck(), mazes.parse("####\n#S1#\n####\n", num_decisions=2))
+def after_a_round(engine, costs_time):
+    """Returns HIRO's state after two subgoals of two robots."""
+    env = goal_maze.GoalMaze(engine(), mazes.parse("####\n#S1#\n####\n", num_decisions=2))
     options = config.HiglConfig(
         method="hiro",
         guidance="none",
@@ -99,10 +102,21 @@ def test_the_manager_is_paid_per_control_step_as_released(costs_time):
         high_capacity=4,
     )
     higl = system.Higl(env, 8, (12, 9), options)
-    state, _ = jax.jit(higl.advance)(higl.init(jax.random.key(0)))
+    return jax.jit(higl.advance)(higl.init(jax.random.key(0)))[0]
+
+
+@pytest.mark.parametrize("costs_time", [False, True])
+def test_the_manager_is_paid_per_control_step_as_released(costs_time):
+    state = after_a_round(sled.Stuck, costs_time)
     rewards = replay.sample(state.high_memory, (100,), jax.random.key(0)).reward
     # Nobody arrives: nothing is paid but the time.
     assert set(rewards.tolist()) == {-5.0 if costs_time else 0.0}
+
+
+@pytest.mark.parametrize(("engine", "counts"), [(sled.Stuck, True), (sled.Breaking, False)])
+def test_the_controller_does_not_learn_to_break_down(engine, counts):
+    steps = replay.sample(after_a_round(engine, True).memory, (100,), jax.random.key(0))
+    assert (steps.is_running == counts).all()
 
 
 def subgoal_row(subgoal):

@@ -36,3 +36,11 @@ class Stuck(Sled):
     def step(self, state, ctrl, walls_xy):
         del ctrl, walls_xy
         return state
+
+
+class Breaking(Sled):
+    """Stands in for a simulation that breaks down at once."""
+
+    def step(self, state, ctrl, walls_xy):
+        del ctrl, walls_xy
+        return state.replace(qpos=state.qpos.at[7].set(jnp.nan))

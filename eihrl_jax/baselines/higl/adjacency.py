@@ -74,7 +74,7 @@ class AdjacencyNetwork:
           is_end: whether its episode ended there; what follows is another way.
         """
         square = self._square(path_xy)
-        ends = (is_end & is_valid).astype(jnp.int32)
+        ends = is_end.astype(jnp.int32)
         way = jnp.cumsum(ends, axis=0) - ends
         table = state.table
         for apart in range(min(self.options.steps, path_xy.shape[0] - 1) + 1):

@@ -212,7 +212,8 @@ class Higl:
             reward=-jnp.sqrt(jnp.square(left).sum(-1)),
             next_obs=next_obs,
             is_end=walked.terminated | walked.truncated,
-            is_running=walked.is_running,
+            # A simulation that breaks down would be an end without a value: nothing costs less.
+            is_running=walked.is_running & (walked.metrics["broke_down"] == 0.0),
         )
         subgoals = relabelling.SubgoalRow(
             obs=obs.swapaxes(1, 2),
