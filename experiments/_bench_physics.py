@@ -79,14 +79,10 @@ def maze_cost_ratio(
       time together), and `ratio`, spiral/random.
     """
     engine = engine_lib.make(robots.load("ant"), engine_name)
-    ctrls = _random_ctrls(engine, num_steps, num_envs)
-    runs = {}
-    for name in ("spiral", "random"):
-        maze = mazes.load(name)
-        keys = jax.random.split(jax.random.key(0), num_envs)
-        start = _standing(engine, jax.vmap(mazes.maze.draw_start, in_axes=(None, 0))(maze, keys))
-        roll = jax.jit(lambda state, maze=maze: _roll(engine, maze, state, ctrls)[0])
-        runs[name] = lambda roll=roll, start=start: roll(start)
+    runs = {
+        name: _random_walk(engine, mazes.load(name), num_steps, num_envs)
+        for name in ("spiral", "random")
+    }
     clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
     times = _timing.shortest(runs, repeats, clock)
     costs = {name: 1e6 * seconds / (num_envs * num_steps) for name, seconds in times.items()}
@@ -114,13 +110,7 @@ def throughput(
     maze = mazes.load("random")
     for name, num_envs in itertools.product(base.ENGINES, sizes):
         engine = engine_lib.make(robots.load("ant"), name)
-        keys = jax.random.split(jax.random.key(0), num_envs)
-        start = _standing(engine, jax.vmap(mazes.maze.draw_start, in_axes=(None, 0))(maze, keys))
-        ctrls = _random_ctrls(engine, num_steps, num_envs)
-        roll = jax.jit(
-            lambda state, engine=engine, ctrls=ctrls: _roll(engine, maze, state, ctrls)[0]
-        )
-        run = {name: lambda roll=roll, start=start: roll(start)}
+        run = {name: _random_walk(engine, maze, num_steps, num_envs)}
         seconds = _timing.shortest(run, repeats)[name]
         rows.append({"engine": name, "num_envs": num_envs, "rate": num_envs * num_steps / seconds})
     return rows
@@ -193,6 +183,17 @@ def _deviation(
         "max": float(greatest.max()),
         "torso": float(np.median(np.linalg.norm(apart[-1, :, :2], axis=-1))),
     }
+
+
+def _random_walk(
+    engine: engine_lib.Engine, maze: mazes.Maze, num_steps: int, num_envs: int
+) -> Callable[[], engine_lib.PhysicsState]:
+    """Returns a function that lets ants push at random from where a maze's episodes start."""
+    keys = jax.random.split(jax.random.key(0), num_envs)
+    start = _standing(engine, jax.vmap(mazes.maze.draw_start, in_axes=(None, 0))(maze, keys))
+    ctrls = _random_ctrls(engine, num_steps, num_envs)
+    roll = jax.jit(lambda state: _roll(engine, maze, state, ctrls)[0])
+    return lambda: roll(start)
 
 
 def _roll(

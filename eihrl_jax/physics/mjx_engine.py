@@ -1,6 +1,7 @@
 """MuJoCo's JAX engine: the same model in float32, compiled for the device that JAX uses."""
 
 import contextlib
+import threading
 from collections.abc import Iterator
 
 import jax
@@ -14,6 +15,9 @@ from eihrl_jax.robots import robot as robot_lib
 
 _SMALLEST_TANGENT = 1e-6
 """Capsules closer to vertical than this, in radians, keep MJX's contact frame."""
+
+_CHOLESKY_LOCK = threading.RLock()
+"""Held while JAX's factorisation is replaced, which all threads see."""
 
 
 class MjxEngine:
@@ -120,12 +124,13 @@ def _safe_cholesky() -> Iterator[None]:
     if jax.default_backend() != "cpu":
         yield
         return
-    original = jax.scipy.linalg.cho_factor
-    jax.scipy.linalg.cho_factor = _cho_factor
-    try:
-        yield
-    finally:
-        jax.scipy.linalg.cho_factor = original
+    with _CHOLESKY_LOCK:
+        original = jax.scipy.linalg.cho_factor
+        jax.scipy.linalg.cho_factor = _cho_factor
+        try:
+            yield
+        finally:
+            jax.scipy.linalg.cho_factor = original
 
 
 def _cho_factor(matrix: Float[Array, "n n"]) -> tuple[Float[Array, "n n"], bool]:
