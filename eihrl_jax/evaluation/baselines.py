@@ -94,7 +94,7 @@ def load(
     """Loads a baseline into some mazes.
 
     Args:
-      name: run folder or policy folder.
+      name: shipped name, run folder or policy folder.
       engine: moves the robot, which must be the one that it was trained with.
       stacked: mazes with a leading axis.
       reward: "sparse" or "dense".
