@@ -30,4 +30,4 @@ def test_baselines_reach_the_goal_of_their_maze(name, tmp_path):
         heatmaps=False,
     )
     (cell,) = evaluate.evaluate(options).cells
-    assert cell.success.rate > 0.3  # of 500 episodes it is 0.59 and 0.64
+    assert cell.success.rate > 0.3  # of 500 episodes it is 0.69 and 0.64
