@@ -2,6 +2,7 @@
 
 import datetime
 import importlib.metadata
+import os
 import pathlib
 import platform
 import subprocess
@@ -23,7 +24,10 @@ PACKAGES = (
 
 
 def describe() -> dict[str, Any]:
-    """Returns the versions of the packages that matter, the machine and the checkout's commit."""
+    """Returns the versions of the packages that matter, the machine and the checkout's commit.
+
+    Of XLA's flags in the environment, those that name a place are left out.
+    """
     device = jax.devices()[0]
     return {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -33,6 +37,7 @@ def describe() -> dict[str, Any]:
         "cpu": _cpu_model(),
         "device": device.device_kind,
         "num_devices": jax.device_count(),
+        "xla_flags": [flag for flag in os.environ.get("XLA_FLAGS", "").split() if "/" not in flag],
         "commit": _commit(pathlib.Path(__file__).parents[2]),
     }
 

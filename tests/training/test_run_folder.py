@@ -52,7 +52,8 @@ def snapshot(path):
     return {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
 
 
-def test_new_run_records_config_and_versions(tmp_path):
+def test_new_run_records_config_and_versions(tmp_path, monkeypatch):
+    monkeypatch.setenv("XLA_FLAGS", f"--xla_cpu_prefer_vector_width=256 --xla_dump_to={tmp_path}")
     with create(tmp_path / "deep" / "run", learning_rate=0.5) as run:
         assert run.restore(STATE) is None
     options = json.loads((run.path / "config.json").read_text())
@@ -60,6 +61,7 @@ def test_new_run_records_config_and_versions(tmp_path):
     start = json.loads((run.path / "versions.json").read_text())[0]
     assert start["packages"]["jax"]
     assert start["device"] and start["cpu"]
+    assert start["xla_flags"] == ["--xla_cpu_prefer_vector_width=256"]
 
 
 def test_record_names_neither_host_nor_place(tmp_path):
