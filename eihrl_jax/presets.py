@@ -168,7 +168,7 @@ def higl() -> higl_config.HiglConfig:
     Levels that see the time know the limit, which is an end as released (Kim et al. 2021).
     """
     landmarks = higl_config.Landmarks(num_coverage=60, num_novel=60, near=-38.0)
-    return higl_config.HiglConfig(method="higl", landmarks=landmarks, is_limit_terminal=True)
+    return higl_config.HiglConfig(landmarks=landmarks, is_limit_terminal=True)
 
 
 def hrac() -> higl_config.HiglConfig:
@@ -188,11 +188,11 @@ def hiro() -> higl_config.HiglConfig:
 
 def hess() -> hess_config.HessConfig:
     """HESS, as released but for what its paper says better (Li et al. 2021)."""
-    return hess_config.HessConfig(method="hess", log_rounds=1)
+    return hess_config.HessConfig(log_rounds=1)
 
 
 BASELINES: dict[str, baselines_config.BaselineConfig] = {
-    "droq": baselines_config.FlatConfig(method="droq"),
+    "droq": baselines_config.FlatConfig(),
     "higl": higl(),
     "hrac": hrac(),
     "hiro": hiro(),

@@ -57,7 +57,7 @@ class Runs:
 
     def highs(self, trained: str) -> tuple[str, ...]:
         """Lists the high levels trained alike, e.g. "best-random", one per seed."""
-        return tuple(str(path) for path in sorted(self.folder.glob(f"{trained}-[0-9]*")))
+        return tuple(map(str, _runs.seeds_of(self.folder, trained)))
 
     def metrics(self, trained: str) -> list[pathlib.Path]:
         """Lists the metrics of the same, in run folders or as shipped."""

@@ -152,8 +152,9 @@ def _finished(folder: pathlib.Path, task: str) -> dict[str, list[pathlib.Path]]:
     """
     ends: dict[str, dict[pathlib.Path, float]] = {}
     for label, (method, name) in LINES.items():
-        for file in sorted(folder.glob(f"{method}-{task}-[0-9]*/metrics.csv")):
-            if _is_evaluated(file, name):
+        for run in _runs.seeds_of(folder, f"{method}-{task}"):
+            file = run / "metrics.csv"
+            if file.is_file() and _is_evaluated(file, name):
                 end = float(_by_steps(file, f"{name}/success")[-1, 0])
                 ends.setdefault(label, {})[file] = end
     spent = _SPENT * max((end for files in ends.values() for end in files.values()), default=0.0)
@@ -177,8 +178,8 @@ def _flat(
     """Returns RAND-H, which learns nothing, as lines along all other curves."""
     x = np.concatenate([curve[:, 0] for curves in others.values() for curve in curves])
     lines = []
-    for file in sorted(folder.glob(f"rand_h-{task}-[0-9]*/eval.json")):
-        cell = results.load(file).cells[0]
+    for run in _runs.seeds_of(folder, f"rand_h-{task}"):
+        cell = results.load(run / "eval.json").cells[0]
         value = cell.success.rate if y == "success" else cell.return_mean / cell.decisions_mean
         lines.append(np.array([[x.min(), value], [x.max(), value]]))
     return {RAND_H: lines} if lines else {}

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import pathlib
 import shutil
 from collections.abc import Callable
 from typing import TypeVar
@@ -29,6 +30,12 @@ def task(maze: str, reward: base.Reward) -> str:
 def name(what: str, maze: str, reward: base.Reward, seed: int) -> str:
     """Names a run folder: `<what>-<maze>[-dense]-<seed>`, as the report finds it."""
     return f"{what}-{task(maze, reward)}-{seed}"
+
+
+def seeds_of(folder: pathlib.Path, run: str) -> list[pathlib.Path]:
+    """Lists the folders `<run>-<seed>` that there are, by seed."""
+    found = {path.name.removeprefix(f"{run}-"): path for path in folder.glob(f"{run}-*")}
+    return [found[seed] for seed in sorted(filter(str.isdecimal, found), key=int)]
 
 
 def finish(options: RunT, train: Callable[[RunT], object]) -> None:

@@ -1,8 +1,10 @@
 """Trains ours and the baselines at equal budgets: `python -m experiments.compare_peers`."""
 
 import dataclasses
+import functools
 import itertools
 import pathlib
+from collections.abc import Callable
 
 from eihrl_jax import base, mazes, presets, robots
 from eihrl_jax.agents import hierarchy
@@ -24,6 +26,10 @@ _WORKERS = 4
 _LOG_EVERY = 5
 _EVALUATE_EVERY = 10
 _EPISODES = 50
+_SHORT = 300_000
+"""Control steps up to which the methods' own schedules are shortened."""
+_ROWS = 20
+"""Rows of metrics that HESS's runs have, where an episode of all robots isn't longer than that."""
 _RANDOM_EPISODES = 500  # RAND-H learns nothing: it is measured once, so as precisely as can be had.
 
 
@@ -33,7 +39,7 @@ class CompareConfig:
 
     Runs that the folder already holds are continued or taken as they are;
     `python -m experiments.report --peers FOLDER` draws them. Settings are the methods' own, but
-    schedules that are longer than such a budget are shortened, see docs/baselines.md. Ours learns
+    for budgets of up to 300,000 schedules are shortened, see docs/baselines.md. Ours learns
     moved by the oracle, a decision counting as the control steps that it takes to walk it, and is
     evaluated both so and walking; RAND-H learns nothing.
 
@@ -78,15 +84,20 @@ class Run:
 
 def main(config: CompareConfig) -> None:
     """Trains what is missing, seed by seed, so that all methods advance together."""
-    runs = itertools.product(config.seeds, config.rewards, config.mazes, config.methods)
-    for seed, reward, maze, method in runs:
-        run = Run(method, maze, reward, seed)
-        if method == "ours":
-            _runs.finish(high_options(config, run), _train_ours)
-        elif method == "rand_h":
-            _runs.evaluated(random_options(config, run))
-        else:
-            _runs.finish(baseline_options(config, run), baselines.train)
+    tasks = itertools.product(config.seeds, config.rewards, config.mazes, config.methods)
+    runs = [Run(method, maze, reward, seed) for seed, reward, maze, method in tasks]
+    # Options are made, and so checked, before the first run begins.
+    for work in [_planned(config, run) for run in runs]:
+        work()
+
+
+def _planned(config: CompareConfig, run: Run) -> Callable[[], object]:
+    """Returns what makes a run, unless it is there."""
+    if run.method == "ours":
+        return functools.partial(_runs.finish, high_options(config, run), _train_ours)
+    if run.method == "rand_h":
+        return functools.partial(_runs.evaluated, random_options(config, run))
+    return functools.partial(_runs.finish, baseline_options(config, run), baselines.train)
 
 
 def high_options(config: CompareConfig, run: Run) -> high_config.HighConfig:
@@ -128,7 +139,11 @@ def random_options(config: CompareConfig, run: Run) -> evaluate_config.EvaluateC
 
 def baseline_options(config: CompareConfig, run: Run) -> baselines_config.BaselineConfig:
     """Returns the options of a run of `train_baseline`."""
-    options = _shortened(presets.BASELINES[run.method])
+    options = presets.BASELINES[run.method]
+    if config.num_steps <= _SHORT:
+        options = _shortened(options)
+    if isinstance(options, hess_config.HessConfig):
+        options = _in_rows(options, config, run)
     return dataclasses.replace(
         options,
         maze=run.maze,
@@ -155,6 +170,24 @@ def _walking(options: high_config.HighConfig) -> hierarchy.Hierarchy:
     return systems.full(engine, moved.course.mazes, moved.view, low_policy, reward=task.reward)
 
 
+def _in_rows(
+    options: hess_config.HessConfig, config: CompareConfig, run: Run
+) -> hess_config.HessConfig:
+    """Returns HESS's options with rows of metrics that suit the budget.
+
+    Raises:
+      base.UserError: a round, an episode of all robots, is more than a tenth of the budget.
+    """
+    steps = int(mazes.load(run.maze).num_decisions) * robots.load(options.robot).steps_per_subgoal
+    per_round = options.num_envs * options.period * -(-steps // options.period)
+    if 10 * per_round > config.num_steps:
+        raise base.UserError(
+            f"num_steps = {config.num_steps} must be at least {10 * per_round} for hess in "
+            f"{run.maze}, which learns in rounds of {per_round}"
+        )
+    return dataclasses.replace(options, log_rounds=max(1, config.num_steps // (_ROWS * per_round)))
+
+
 def _shortened(preset: baselines_config.BaselineConfig) -> baselines_config.BaselineConfig:
     """Returns a preset for budgets of some 100,000 control steps."""
     if isinstance(preset, baselines_config.FlatConfig):
@@ -178,7 +211,6 @@ def _shortened(preset: baselines_config.BaselineConfig) -> baselines_config.Base
     return dataclasses.replace(
         preset,
         num_envs=2,  # So that there are rounds enough where an episode is long.
-        log_rounds=5,
         random_steps=30_000,
         capacity=200,
         representation=dataclasses.replace(

@@ -22,8 +22,13 @@ MISTAKES = [
     ("train_low --speed 3", ["--speed"]),
     ("train_baseline --method dqn", ["--method 'dqn'", "droq, higl, hrac, hiro, hess"]),
     ("train_baseline --method higl --manager.reach 0", ["reach = 0", "greater than 0"]),
+    (
+        "train_baseline --method hrac --period 2 --periods-per-round 4",
+        ["adjacency.steps = 9", "at most 7"],
+    ),
     ("train_baseline --maze nowhere.txt", ["nowhere.txt"]),
     ("train_baseline --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
+    ("train_baseline --method hess --num-decisions 2", ["period = 50", "the 50 control steps"]),
     ("train_baseline --method hess --capacity 7", ["num_envs = 10", "capacity = 7"]),
     ("train_low --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
     ("train_low --run {tmp}/old/config.json", ["{tmp}/old/config.json"]),

@@ -150,8 +150,9 @@ def is_end(period: Period) -> Bool[Array, "*P k N"]:
 
 
 def is_due(num_steps: Int[Array, ""], steps_per_round: int, every: int) -> Bool[Array, ""]:
-    """Tells whether the last round went past a multiple of `every` control steps."""
-    return num_steps // every > (num_steps - steps_per_round) // every
+    """Tells whether the last round, if any, went past a multiple of `every` control steps."""
+    before = jnp.maximum(num_steps - steps_per_round, 0)
+    return num_steps // every > before // every
 
 
 def summarise(period: Period) -> dict[str, Float[Array, ""]]:

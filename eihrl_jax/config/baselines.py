@@ -77,7 +77,7 @@ class FlatConfig(BaselineConfig):
 
     def __post_init__(self) -> None:
         """Checks ranges, and how the options fit together."""
-        check_arena(self)
+        check_arena(self, ("droq",))
         checks.in_range("warmup_steps", self.warmup_steps, 1, 2**31 - 1)
         checks.in_range("iterations_per_round", self.iterations_per_round, 1, 10_000)
         checks.in_range("updates_per_step", self.updates_per_step, 1, 1_000)
@@ -90,8 +90,9 @@ class FlatConfig(BaselineConfig):
         return self.num_envs * self.iterations_per_round
 
 
-def check_arena(config: BaselineConfig) -> None:
-    """Checks the ranges of what all baselines share."""
+def check_arena(config: BaselineConfig, methods: tuple[str, ...]) -> None:
+    """Checks the ranges of what all baselines share, and that the options are the method's."""
+    checks.one_of("method", config.method, methods)
     checks.in_range("seed", config.seed, 0, 2**32 - 1)
     checks.one_of("reward", config.reward, base.REWARDS)
     checks.one_of("goals", config.goals, get_args(Goals))

@@ -198,15 +198,16 @@ class HessConfig(baselines.BaselineConfig):
       high_capacity: subgoals in the manager's memory.
       random_steps: first control steps, in which the manager's subgoals are drawn uniformly.
       costs_time: whether each control step costs the manager 1, which makes rewards of 1 and 0
-        those of 0 and -1 of the released code, and its targets are clipped to between minus the
-        episode's steps and 0. Else entropy, of which the temperature makes up to 1.5 per subgoal,
-        is worth more than a goal.
+        those of 0 and -1 of the released code; where they are sparse its targets are clipped to
+        between minus the episode's steps and 0. Else entropy, of which the temperature makes up to
+        1.5 per subgoal, is worth more than a goal.
       manager: numbers of the upper level.
       controller: numbers of the lower level.
       representation: of the subgoal space.
       exploration: of the choice of subgoals.
     """
 
+    method: str = "hess"
     period: int = 50
     capacity: int = 1_000
     high_capacity: int = 48_000
@@ -219,7 +220,7 @@ class HessConfig(baselines.BaselineConfig):
 
     def __post_init__(self) -> None:
         """Checks ranges, and how the options fit together."""
-        baselines.check_arena(self)
+        baselines.check_arena(self, ("hess",))
         checks.in_range("period", self.period, 1, 10_000)
         checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)

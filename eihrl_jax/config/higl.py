@@ -61,7 +61,8 @@ class Adjacency:
     """HRAC's adjacency network, which learns how far apart places are in control steps.
 
     Attributes:
-      steps: positions at most so many control steps apart are adjacent.
+      steps: positions at most so many control steps apart are adjacent; HRAC's and HIGL's numbers
+        are meant for a `period` of 10, and each round's steps are told apart from the last one's.
       hidden: widths of the hidden layers.
       num_features: size of the embedding.
       learning_rate: of Adam.
@@ -182,6 +183,7 @@ class HiglConfig(baselines.BaselineConfig):
         while the reward is that of before it, as in the released code.
     """
 
+    method: str = "higl"
     guidance: Guidance = "landmarks"
     guidance_weight: float = 20.0
     landmark_distance: float = 2.0
@@ -202,7 +204,7 @@ class HiglConfig(baselines.BaselineConfig):
 
     def __post_init__(self) -> None:
         """Checks ranges, and how the options fit together."""
-        baselines.check_arena(self)
+        baselines.check_arena(self, ("higl", "hrac", "hiro"))
         checks.one_of("guidance", self.guidance, get_args(Guidance))
         checks.in_range("guidance_weight", self.guidance_weight, 0.0)
         checks.in_range("landmark_distance", self.landmark_distance, above=0.0)
@@ -217,6 +219,9 @@ class HiglConfig(baselines.BaselineConfig):
         name = "num_envs * periods_per_round"
         checks.divides(f"{name} * period", self.steps_per_round, "capacity", self.capacity)
         checks.divides(name, subgoals, "high_capacity", self.high_capacity)
+        if self.guidance != "none":
+            most = self.periods_per_round * self.period - 1
+            checks.in_range("adjacency.steps", self.adjacency.steps, high=most)
         if self.num_high_updates < 1:
             raise base.UserError(
                 f"updates_per_step = {self.updates_per_step} gives the manager no update in a "

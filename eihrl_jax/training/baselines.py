@@ -1,6 +1,7 @@
 """Training of the baselines: walk, learn, evaluate, checkpoint, whatever the method."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -12,6 +13,7 @@ from jaxtyping import Array, Float, Key
 from eihrl_jax import base, checkpoint, mazes, policies, robots
 from eihrl_jax.baselines import system as system_lib
 from eihrl_jax.config import baselines as config_lib
+from eihrl_jax.config import hess as hess_config
 from eihrl_jax.envs import goal_maze, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.physics import engine as engine_lib
@@ -22,7 +24,7 @@ from eihrl_jax.training import run_folder, versions
 
 @dataclasses.dataclass(frozen=True)
 class Arena:
-    """A maze with a robot, and the baseline that learns in it.
+    """A maze with a robot, and the baseline that learns in it; compiled once for all its runs.
 
     Attributes:
       title: what is done where, in a few words.
@@ -36,12 +38,28 @@ class Arena:
     side_xy: tuple[int, int]
     system: system_lib.System
 
+    @functools.cached_property
+    def advance(self) -> jax.stages.Wrapped:
+        """Walks and learns: (state, number of rounds) to (state, metrics of each)."""
+
+        def advance(state: Any, num_rounds: int) -> tuple[Any, dict[str, Array]]:
+            return jax.lax.scan(
+                lambda state, _: self.system.advance(state), state, length=num_rounds
+            )
+
+        return jax.jit(advance, static_argnums=1, donate_argnums=0)
+
+    @functools.cached_property
+    def evaluate(self) -> jax.stages.Wrapped:
+        """Does what `measure` does: (policy, key, number of episodes) to sums of metrics."""
+        return jax.jit(functools.partial(measure, self), static_argnums=2)
+
 
 def make_arena(config: config_lib.BaselineConfig) -> Arena:
     """Builds maze, robot and baseline.
 
     Raises:
-      base.UserError: the maze or the robot is unknown.
+      base.UserError: the maze or the robot is unknown, or an episode too short.
     """
     robot = robots.load(config.robot)
     engine = engine_lib.make(robot, config.engine)
@@ -54,6 +72,10 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
     if isinstance(config, config_lib.FlatConfig):
         trained_in = wrappers.AutoReset(trained_in)
     steps = int(env.course.mazes.num_decisions.max())
+    if isinstance(config, hess_config.HessConfig) and config.period >= steps:
+        raise base.UserError(
+            f"period = {config.period} must be smaller than the {steps} control steps of an episode"
+        )
     system = system_lib.make(trained_in, engine.model.nu, env.side_xy, steps, config)
     return Arena(f"{config.method} in {config.maze}", env, env.side_xy, system)
 
@@ -145,21 +167,14 @@ def _compile(
     progress: progress_lib.Progress,
 ) -> tuple[Callable, Callable]:
     """Compiles training and evaluation ahead, so that the time it takes can be told."""
-
-    def advance(state: Any) -> tuple[Any, dict[str, Array]]:
-        return jax.lax.scan(
-            lambda state, _: arena.system.advance(state), state, length=config.log_rounds
-        )
-
-    def evaluate(policy: dict[str, Any], key: Key[Array, ""]) -> dict[str, Array]:
-        return measure(arena, policy, key, config.num_eval_episodes)
-
+    # Shapes alone: a state that was restored is the same program's as a new one.
+    shapes = jax.eval_shape(lambda: state)
+    policy, key = jax.eval_shape(lambda: (arena.system.policy(state), jax.random.key(0)))
     with progress.compiling("training"):
-        compiled = jax.jit(advance, donate_argnums=0).lower(state).compile()
+        advance = arena.advance.lower(shapes, config.log_rounds).compile()
     with progress.compiling("evaluation"):
-        key = jax.random.key(0)
-        measured = jax.jit(evaluate).lower(arena.system.policy(state), key).compile()
-    return compiled, measured
+        evaluate = arena.evaluate.lower(policy, key, config.num_eval_episodes).compile()
+    return advance, evaluate
 
 
 def _shown(row: dict[str, float]) -> dict[str, float]:

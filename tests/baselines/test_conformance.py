@@ -20,6 +20,16 @@ MAZE = "####\n#1S#\n####\n"
 METHODS = tuple(presets.BASELINES)
 
 
+def test_options_are_of_their_method():
+    for options in presets.BASELINES.values():
+        kind = type(options)
+        assert kind().method in METHODS
+        with pytest.raises(base.UserError, match="method = 'dqn' must be one of"):
+            kind(method="dqn")
+    with pytest.raises(base.UserError, match="method = 'hess' must be one of higl, hrac, hiro"):
+        dataclasses.replace(presets.BASELINES["higl"], method="hess")
+
+
 def small_options(method):
     """Options under which a method does everything that it does, in little time."""
     if method == "droq":
@@ -41,10 +51,10 @@ def small_options(method):
                 hidden=(16,), critic_hidden=(16,), batch_size=8, updates_per_step=0.04
             ),
             "representation": hess_config.Representation(
-                hidden=(8,), batch_size=8, num_updates=3, every=200
+                hidden=(8,), batch_size=8, num_updates=3, every=100
             ),
             "exploration": hess_config.Exploration(
-                num_candidates=8, first_step=100, potential_step=200, every=200
+                num_candidates=8, first_step=100, potential_step=200, every=100
             ),
         }
     return {
@@ -86,10 +96,20 @@ def config_of(method, maze, run, **changes):
 
 
 @pytest.fixture(scope="module", params=METHODS)
-def finished(request, maze, tmp_path_factory):
-    config = config_of(request.param, maze, tmp_path_factory.mktemp("runs") / request.param)
-    baselines.train(config)
-    return config
+def settings(request, maze, tmp_path_factory):
+    return config_of(request.param, maze, tmp_path_factory.mktemp("runs") / request.param)
+
+
+@pytest.fixture(scope="module")
+def arena(settings):
+    """Compiled for one run, it serves others."""
+    return baselines.make_arena(settings)
+
+
+@pytest.fixture(scope="module")
+def finished(settings, arena):
+    baselines.train_in(arena, settings)
+    return settings
 
 
 def test_metrics_are_numbers_and_episodes_are_counted(finished):
@@ -105,16 +125,15 @@ def test_metrics_are_numbers_and_episodes_are_counted(finished):
     assert learned and all(math.isfinite(float(rows[-1][name])) for name in learned)
 
 
-def test_resuming_changes_nothing(finished, maze, tmp_path):
+def test_resuming_changes_nothing(finished, arena, tmp_path):
     run = tmp_path / "halves"
     half = finished.num_steps // 2
-    baselines.train(dataclasses.replace(finished, run=run, num_steps=half))
-    baselines.train(dataclasses.replace(finished, run=run, resume=True))
+    baselines.train_in(arena, dataclasses.replace(finished, run=run, num_steps=half))
+    baselines.train_in(arena, dataclasses.replace(finished, run=run, resume=True))
     written = (run / "config.json").read_text()
     with pytest.raises(base.UserError, match=r"num_steps = 1 is less than .* has walked: \d+"):
         baselines.train(dataclasses.replace(finished, run=run, resume=True, num_steps=1))
     assert (run / "config.json").read_text() == written
-    arena = baselines.make_arena(finished)
     template = jax.eval_shape(arena.system.init, jax.random.key(0))
     states = [checkpoint.restore(path / "checkpoints", template)[1] for path in (finished.run, run)]
     for left, right in zip(*map(jax.tree.leaves, states), strict=True):
@@ -123,8 +142,8 @@ def test_resuming_changes_nothing(finished, maze, tmp_path):
         np.testing.assert_array_equal(left, right)
 
 
-def test_advancing_keeps_all_types_so_that_it_compiles_once(finished):
-    system = baselines.make_arena(finished).system
+def test_advancing_keeps_all_types_so_that_it_compiles_once(arena):
+    system = arena.system
     before = jax.eval_shape(system.init, jax.random.key(0))
     after, _ = jax.eval_shape(system.advance, before)
     assert jax.tree.structure(before) == jax.tree.structure(after)

@@ -214,7 +214,7 @@ def test_the_newest_place_within_reach_is_chosen_unless_it_was_missed():
     ("miss", "num_blocks", "frozen"), [(1.9, 1, True), (2.1, 1, False), (0.0, 0, False)]
 )
 def test_a_trained_subgoal_space_is_frozen_once_little_is_missed(miss, num_blocks, frozen):
-    options = config.HessConfig(method="hess", capacity=10, manager=SAC, controller=DDPG)
+    options = config.HessConfig(capacity=10, manager=SAC, controller=DDPG)
     learner = learning.Learning(2, 1, 100, 1_000, options)
     learned = learner.init(100, jax.random.key(0))
     learned = learned.replace(space=learned.space.replace(num_blocks=jnp.int32(num_blocks)))
@@ -231,22 +231,51 @@ class Jump(sled.Sled):
         return super().step(state, jnp.zeros_like(ctrl).at[0].set(sled.K), walls_xy)
 
 
-@functools.cache
-def after_a_round(engine, first_step):
-    """Returns HESS's state after an episode of two robots; from then on nearly all is explored."""
-    env = goal_maze.GoalMaze(engine(), mazes.parse("####\n#S1#\n####\n", num_decisions=4))
-    options = config.HessConfig(
-        method="hess",
+def small_hess(engine, reward="sparse", **options):
+    """Returns HESS in a corridor, with two robots whose episodes have two subgoals."""
+    maze = mazes.parse("####\n#S1#\n####\n", num_decisions=4)
+    env = goal_maze.GoalMaze(engine(), maze, reward=reward)
+    small = config.HessConfig(
+        reward=reward,
         num_envs=2,
         period=10,
         capacity=4,
         high_capacity=4,
         manager=config.Sac(hidden=(4,)),
         controller=config.Ddpg(hidden=(4,), critic_hidden=(4,), updates_per_step=0.05),
-        exploration=config.Exploration(first_step=first_step, success_weight=0.0, every=1),
     )
-    hess = system.Hess(env, 8, (12, 9), 20, options)
-    return jax.jit(hess.advance)(hess.init(jax.random.key(0)))[0]
+    return system.Hess(env, 8, (12, 9), 20, dataclasses.replace(small, **options))
+
+
+@functools.cache
+def after_a_round(engine, first_step, num_rounds=1):
+    """Returns HESS's state after an episode of two robots; from then on nearly all is explored."""
+    explores = config.Exploration(first_step=first_step, success_weight=0.0, every=1)
+    hess = small_hess(engine, exploration=explores)
+    state = hess.init(jax.random.key(0))
+    for _ in range(num_rounds):
+        state, _ = jax.jit(hess.advance)(state)
+    return state
+
+
+def test_values_are_bounded_by_the_time_where_goals_are_ends():
+    assert small_hess(sled.Stuck)._learning.manager._value_floor == -20.0
+    assert small_hess(sled.Stuck, costs_time=False)._learning.manager._value_floor is None
+    assert small_hess(sled.Stuck, "dense")._learning.manager._value_floor is None
+
+
+def test_both_levels_have_learned_with_the_subgoal_space_that_acts():
+    trained = config.Representation(hidden=(4,), batch_size=4, num_updates=5, every=40)
+    hess = small_hess(sled.Stuck, representation=trained)
+    assert hess.steps_per_round == 40
+    advance = jax.jit(hess.advance)
+    state, metrics = advance(hess.init(jax.random.key(0)))
+    assert state.learned.space.num_blocks == 0 and np.isnan(metrics["representation_loss"])
+    state, metrics = advance(state)
+    assert state.learned.space.num_blocks == 1 and np.isfinite(metrics["representation_loss"])
+    # What was walked last was told with the space as it is now.
+    place = hess._learning.space.place(state.learned.space.params, state.episodes.obs[2:])
+    np.testing.assert_allclose(place, state.episodes.place[2:], rtol=1e-5, atol=1e-6)
 
 
 def walked_rows(state):
@@ -264,7 +293,7 @@ def test_breaking_down_is_not_worth_arriving():
 
 
 def test_no_place_is_novel_before_any_has_been_counted():
-    squares = after_a_round(sled.Stuck, 0).squares
+    squares = after_a_round(sled.Stuck, 0, num_rounds=2).squares
     assert not squares.visits.any() and (squares.novelty == 1.0).all()
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import mazes, replay
+from eihrl_jax import base, mazes, replay
 from eihrl_jax.baselines.higl import adjacency, landmarks, learning, novelty, relabelling, system
 from eihrl_jax.config import higl as config
 from eihrl_jax.envs import goal_maze
@@ -42,6 +42,14 @@ def test_places_of_different_episodes_are_not_adjacent():
     is_running = YES.at[3, 0].set(False)
     table = np.asarray(network.mark(network.init(jax.random.key(0)), LINE, is_running, NO).table)
     assert not table[3].any() and table[2, 4]
+
+
+def test_a_maze_too_large_for_the_table_is_named():
+    with pytest.raises(base.UserError, match=r"300 x 200 unit squares, must be at most 32768"):
+        adjacency.AdjacencyNetwork(300, 200, config.Adjacency())
+    options = config.HiglConfig(method="hiro", guidance="none")
+    table = learning.Learning(4, 2, (200, 300), options).init(jax.random.key(0)).places.table
+    assert table.shape == (1, 1)
 
 
 def test_the_network_learns_what_is_adjacent():
@@ -178,9 +186,10 @@ def lead(planner, graph, obs, goal_xy):
     return planner.plan(CONTROLLER, graph, obs, goal_xy, ways)
 
 
-def test_the_planner_leads_along_the_landmarks():
+@pytest.mark.parametrize("near", [-2.0, -20.0])
+def test_the_planner_leads_along_the_landmarks(near):
     options = config.Landmarks(
-        num_coverage=4, num_novel=2, pool=4, cutoff=-6.0, near=-2.0, heat=5.0, rounds=4
+        num_coverage=4, num_novel=2, pool=4, cutoff=-6.0, near=near, heat=5.0, rounds=4
     )
     planner = landmarks.Planner(Walker(), options)
     pool = jnp.array([[0.0, 0.0], [5.0, 0.0], [10.0, 0.0], [10.0, 5.0]])
@@ -193,7 +202,7 @@ def test_the_planner_leads_along_the_landmarks():
         return lead(planner, graph, jnp.array([[x, y]]), goal)[0].tolist()
 
     assert plan(1.0, 0.5) == [5.0, 0.0]
-    assert plan(9.0, 4.5) == [10.0, 5.0]
+    assert plan(9.0, 2.5) == [10.0, 5.0]  # the goal lies beyond the cutoff, whatever is near
     assert plan(10.0, 8.0) == [10.0, 9.0]  # near enough to go there itself
 
 

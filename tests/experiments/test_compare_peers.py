@@ -1,12 +1,14 @@
 """The comparison at equal budgets: which runs it makes, with which options."""
 
 import csv
+import dataclasses
 
 import pytest
 
 from eihrl_jax import base, presets, robots
 from eihrl_jax.config import baselines as baselines_config
 from eihrl_jax.evaluation import results
+from eihrl_jax.training import baselines
 from experiments import compare_peers
 
 
@@ -29,6 +31,36 @@ def test_droq_updates_its_actor_once_per_control_step(tmp_path):
     for options in (shortened, presets.BASELINES["droq"]):
         assert isinstance(options, baselines_config.FlatConfig)
         assert options.updates_per_step == options.learner.actor_period
+
+
+@pytest.mark.parametrize(("maze", "row"), [("random", 4_800), ("s", 4_000), ("spiral", 10_000)])
+def test_hess_tells_its_metrics_some_twenty_times(maze, row, tmp_path):
+    run = compare_peers.Run("hess", maze, "sparse", 0)
+    options = compare_peers.baseline_options(compare_peers.CompareConfig(out=tmp_path), run)
+    arena = baselines.make_arena(options)
+    assert arena.system.steps_per_round * options.log_rounds == row
+
+
+def test_a_budget_of_too_few_episodes_is_named_before_anything_is_trained(tmp_path):
+    config = compare_peers.CompareConfig(
+        methods=("droq", "hess"), mazes=("spiral",), num_steps=90_000, out=tmp_path / "peers"
+    )
+    with pytest.raises(base.UserError, match="num_steps = 90000 must be at least 100000 for hess"):
+        compare_peers.main(config)
+    assert not config.out.exists()
+
+
+@pytest.mark.parametrize("method", ["droq", "higl", "hess"])
+def test_large_budgets_have_the_methods_own_schedules(method, tmp_path):
+    config = compare_peers.CompareConfig(num_steps=1_000_000, out=tmp_path)
+    options = compare_peers.baseline_options(config, compare_peers.Run(method, "u", "sparse", 0))
+    preset = presets.BASELINES[method]
+    own = {"maze": "u", "run": options.run, "resume": True, "checkpoint_every": 1, "log_rounds": 1}
+    assert dataclasses.replace(options, **own) == dataclasses.replace(preset, **own)
+    short = dataclasses.replace(config, num_steps=300_000)
+    options = compare_peers.baseline_options(short, compare_peers.Run(method, "u", "sparse", 0))
+    own["num_steps"] = 300_000
+    assert dataclasses.replace(options, **own) != dataclasses.replace(preset, **own)
 
 
 @pytest.mark.parametrize("num_steps", [1, 50_000, 100_000, 1_000_000])

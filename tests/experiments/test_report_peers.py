@@ -94,6 +94,16 @@ def test_ours_has_a_line_walking_and_one_moved_by_the_oracle(folders):
     assert len(found["HIGL"]) == 2
 
 
+def test_runs_of_other_settings_and_those_not_yet_begun_are_no_seeds(folders):
+    read = _report_peers._AXES["control steps"]
+    peers = folders / "peers"
+    for name in ("higl-u-5-updates", "higl-u-anywhere-0"):
+        (peers / name).mkdir()
+        (peers / name / "metrics.csv").write_text(PEER)
+    (peers / "higl-u-2").mkdir()
+    assert len(_report_peers._lines(peers, "u", "success", read)["HIGL"]) == 2
+
+
 def test_every_task_that_a_peer_learned_has_its_pictures(folders):
     section = _report_peers.section(ours(folders), folders / "peers", folders / "out")
     assert [picture.path.name for picture in section.pictures] == [

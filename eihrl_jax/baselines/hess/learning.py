@@ -64,7 +64,8 @@ class Learning:
         self._num_seen = num_seen
         self._steps_per_round = steps_per_round
         size = representation.NUM_SUBGOAL
-        floor = -float(episode_steps) if options.costs_time else None
+        is_bounded = options.costs_time and options.reward == "sparse"
+        floor = -float(episode_steps) if is_bounded else None
         self.manager = levels.Sac(num_seen + 2, size, options.manager, floor)
         self.controller = levels.Ddpg(num_seen + 2 * size, num_actions, options.controller)
         self.space = representation.Representation(num_seen, options.period, options.representation)

@@ -20,6 +20,9 @@ from eihrl_jax.networks import mlp
 NUM_SUBGOAL = 2
 """Size of the subgoal space."""
 
+UNKNOWN = 1.0
+"""Loss that a step counts as having until it is drawn, that of states which all coincide."""
+
 
 class RepresentationState(struct.PyTreeNode):
     """What the representation is learned with. E episodes of T steps.
@@ -27,7 +30,7 @@ class RepresentationState(struct.PyTreeNode):
     Attributes:
       params: of the network.
       opt_state: of Adam.
-      loss: float32 [E, T], contrastive loss of each stored step when it was last drawn; inf: never.
+      loss: float32 [E, T], contrastive loss of each stored step when it was last drawn.
       num_blocks: int32, blocks of training so far.
       is_frozen: whether subgoals are reached so well that training has stopped.
     """
@@ -74,7 +77,7 @@ class Representation:
         return RepresentationState(
             params=params,
             opt_state=self._optimizer.init(params),
-            loss=jnp.full(shape, jnp.inf, jnp.float32),
+            loss=jnp.full(shape, UNKNOWN, jnp.float32),
             num_blocks=jnp.int32(0),
             is_frozen=jnp.zeros((), bool),
         )
@@ -159,11 +162,10 @@ class Representation:
         """Returns the worse half of the stored steps, and those that are anchored."""
         step = jnp.arange(losses.shape[1], dtype=jnp.int32)
         is_usable = step[None] + self._period <= stored.length[:, None]
-        # Steps that were never drawn count as the worst, in any order; what is unusable comes after
-        # all others.
-        unknown = jax.random.uniform(key, losses.shape, minval=1e30, maxval=2e30)
-        known = jnp.where(jnp.isfinite(losses), losses, unknown)
-        order = jnp.argsort(jnp.where(is_usable, known, jnp.inf).ravel()).astype(jnp.int32)
+        # What is unusable comes last; equal losses in any order.
+        ranked = jnp.where(is_usable, losses, jnp.inf).ravel()
+        tie = jax.random.uniform(key, ranked.shape)
+        order = jnp.lexsort((tie, ranked)).astype(jnp.int32)
         num = is_usable.sum(dtype=jnp.float32)
         calm = self.options.anchored_share * num
         anchored = (jnp.float32(0.0), calm)

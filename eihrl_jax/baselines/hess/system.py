@@ -136,11 +136,15 @@ class Hess:
     def advance(self, state: HessState) -> tuple[HessState, dict[str, Float[Array, ""]]]:
         """Walks an episode in every environment and learns from them.
 
+        The subgoal space is trained before that, so that both levels have learned with it as it is
+        when they are evaluated.
+
         Returns:
           The new state, and scalars: means of what the learners tell, and sums over the episodes
           that ended, their names beginning with `sum_`, see `periods.summarise`.
         """
         key, walk_key, learn_key, space_key = jax.random.split(state.key, 4)
+        state, space_loss = self._train_space(state, space_key)
         envs, walked = self._walk_round(state, walk_key)
         state = state.replace(
             envs=envs,
@@ -157,12 +161,12 @@ class Hess:
             num_subgoals,
             learn_key,
         )
-        learned, metrics["representation_loss"] = self._learning.train_space(
-            learned, state.episodes, state.num_steps, state.miss, space_key
-        )
         state = state.replace(learned=learned)
-        state = state.replace(squares=self._look_ahead(state))
-        metrics |= {"miss": state.miss, "exploring": self._exploring_share(state)}
+        metrics |= {
+            "representation_loss": space_loss,
+            "miss": state.miss,
+            "exploring": self._exploring_share(state),
+        }
         return state, metrics | periods.summarise(walked)
 
     def policy(self, state: HessState) -> Policy:
@@ -205,6 +209,16 @@ class Hess:
         options = self.options.exploration
         share = jax.nn.sigmoid(1.0 - 2.0 * options.success_weight * state.success)
         return jnp.where(state.num_steps >= options.first_step, share, 0.0)
+
+    def _train_space(
+        self, state: HessState, key: Key[Array, ""]
+    ) -> tuple[HessState, Float[Array, ""]]:
+        """Trains the subgoal space and looks ahead in it, where that is due; see `train_space`."""
+        learned, loss = self._learning.train_space(
+            state.learned, state.episodes, state.num_steps, state.miss, key
+        )
+        state = state.replace(learned=learned)
+        return state.replace(squares=self._look_ahead(state)), loss
 
     def _walk_round(
         self, state: HessState, key: Key[Array, ""]
@@ -273,8 +287,9 @@ class Hess:
         batch = self._episode_batch(space.params, walked)
         reached = batch.place[:, self.options.period :: self.options.period]
         chosen = jax.tree.map(lambda leaf: leaf[:, 0].swapaxes(0, 1), walked.subgoal)
-        # A robot whose episode has ended at its goal doesn't go on to its subgoal.
-        has_ended = walked.terminated[:, -1].T
+        # A robot whose episode has ended at its goal doesn't go on to its subgoal. An episode's
+        # last subgoal isn't looked back on, as released: time may be up before it.
+        has_ended = walked.terminated[:, -1].at[-1].set(True).T
         is_selected = walked.is_running[:, 0].T & chosen.is_exploring & ~has_ended
         square = self.options.exploration.square
         steps = jnp.arange(batch.place.shape[1], dtype=jnp.int32)
@@ -359,7 +374,7 @@ def _with_new_episodes(
 ) -> representation.RepresentationState:
     """Returns the subgoal space, for which new episodes have taken the place of the oldest."""
     space = state.learned.space
-    unknown = jnp.full((batch.length.shape[0], space.loss.shape[1]), jnp.inf)
+    unknown = jnp.full((batch.length.shape[0], space.loss.shape[1]), representation.UNKNOWN)
     position = state.episodes.position
     return space.replace(
         loss=jax.lax.dynamic_update_slice_in_dim(space.loss, unknown, position, axis=0)

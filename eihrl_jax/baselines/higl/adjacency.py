@@ -13,9 +13,13 @@ import optax
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from eihrl_jax import base
 from eihrl_jax.baselines import optimisation
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.networks import mlp
+
+MAX_SQUARES = 2**15
+"""Most unit squares of a maze: their table takes the square of it in bytes, 1 GiB."""
 
 
 class AdjacencyState(struct.PyTreeNode):
@@ -42,7 +46,15 @@ class AdjacencyNetwork:
           num_rows: unit squares of the maze from north to south.
           num_columns: from west to east.
           options: sizes and numbers.
+
+        Raises:
+          base.UserError: there are more than `MAX_SQUARES` squares.
         """
+        if num_rows * num_columns > MAX_SQUARES:
+            raise base.UserError(
+                f"adjacency: the maze has {num_rows} x {num_columns} unit squares, must be at most "
+                f"{MAX_SQUARES}; HIRO needs none"
+            )
         self.options = options
         self._shape = num_rows, num_columns
         self._network = mlp.Mlp(options.hidden, options.num_features)

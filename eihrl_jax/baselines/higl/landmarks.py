@@ -119,7 +119,7 @@ class Planner:
         score = jnp.where(graph.is_valid[near], score, -jnp.inf)
         best = jnp.argmax(score, axis=1, keepdims=True)
         chosen = landmark_xy[jnp.take_along_axis(near, best, axis=1)[:, 0]]
-        is_near = first[:, -1] > self._options.near
+        is_near = cut[:, -1] > self._options.near
         return jnp.where(is_near[:, None], goal_xy, chosen)
 
     def _values(

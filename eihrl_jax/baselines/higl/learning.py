@@ -74,11 +74,15 @@ class Learning:
           num_actions: size A of the controller's action.
           side_xy: the arena's sides, units.
           options: of the run.
+
+        Raises:
+          base.UserError: the arena is too large for a table of adjacent places.
         """
         self.options = options
         self.manager = td3.Td3(num_seen + 2, NUM_SUBGOAL, options.manager)
         self.controller = td3.Td3(num_seen, num_actions, options.controller)
-        self._adjacency = adjacency.AdjacencyNetwork(side_xy[1], side_xy[0], options.adjacency)
+        num_columns, num_rows = side_xy if options.guidance != "none" else (1, 1)
+        self._adjacency = adjacency.AdjacencyNetwork(num_rows, num_columns, options.adjacency)
         self._novelty = novelty.Novelty(num_seen, options.landmarks)
         self._planner = landmarks.Planner(self.controller, options.landmarks)
 
