@@ -70,6 +70,12 @@ class LowTrainer:
         obs = jax.eval_shape(self._env.reset, jax.random.key(0)).obs
         self.num_features = jax.eval_shape(self._features, obs).shape[0]
         self._learner = droq.Droq(self.num_features, self._num_actions, config.droq)
+        # Each is compiled once for all runs that the trainer is used for.
+        self.jit_init = jax.jit(self.init)
+        self.jit_warm_up = jax.jit(self.warm_up, donate_argnums=0)
+        self.jit_advance = jax.jit(self.advance, donate_argnums=0)
+        self.jit_measure = jax.jit(self.measure, static_argnums=(2, 3))
+        self.jit_record_postures = jax.jit(self.record_postures)
 
     def init(self, key: Key[Array, ""]) -> LowState:
         """Returns the state of a run that is about to start, its memory still empty."""
@@ -239,28 +245,38 @@ def train(config: low_config.LowConfig) -> None:
     Raises:
       base.UserError: an option or the run folder is not as it should be.
     """
-    trainer = LowTrainer(config)
+    train_with(LowTrainer(config), config)
+
+
+def train_with(trainer: LowTrainer, config: low_config.LowConfig) -> None:
+    """Does what `train` does, with a trainer that may have been compiled for another run.
+
+    Args:
+      trainer: made of options that differ at most in the run's folder, length and start.
+      config: the run's options.
+
+    Raises:
+      base.UserError: the run folder is not as it should be.
+    """
     if checkpoint.last_step(config.run / run_folder.CHECKPOINTS) is None:
         _check_start(config)
     with run_folder.RunFolder.create(
         config.run, config, resume=config.resume, may_change={"num_iterations"}
     ) as run:
         init_key, measure_key, posture_key = jax.random.split(jax.random.key(config.seed), 3)
-        state = jax.jit(trainer.init)(init_key)
+        state = trainer.jit_init(init_key)
         restored = run.restore(state)
-        done = 0 if restored is None else restored[0]
+        done, state = (0, state) if restored is None else restored
+        if restored is None and config.start_from is not None:
+            state = _start_from(config.start_from, state)
         title = f"{config.robot} low level"
         with progress_lib.Progress(
             title, config.num_iterations * config.num_envs, done=done * config.num_envs
         ) as progress:
             advance, measure = _compile(trainer, state, progress)
-            if restored is None and config.start_from is not None:
-                state = _start_from(config.start_from, state)
-            elif restored is None:
+            if restored is None and config.start_from is None:
                 progress.print(f"{title}: filling the memory with random steps ...")
-                state = jax.jit(trainer.warm_up, donate_argnums=0)(state)
-            else:
-                state = restored[1]
+                state = trainer.jit_warm_up(state)
 
             def evaluate() -> dict[str, Float[Array, ""]]:
                 key = jax.random.fold_in(measure_key, done)
@@ -304,10 +320,13 @@ def _compile(
     trainer: LowTrainer, state: LowState, progress: progress_lib.Progress
 ) -> tuple[Callable, Callable]:
     """Compiles training and measurement ahead, so that the time it takes can be told."""
+    # Shapes alone: a state that was restored is the same program's as a new one.
+    shapes = jax.eval_shape(lambda: state)
     with progress.compiling("training"):
-        advance = jax.jit(trainer.advance, donate_argnums=0).lower(state).compile()
+        advance = trainer.jit_advance.lower(shapes).compile()
     with progress.compiling("measurement"):
-        measure = jax.jit(trainer.measure).lower(state.learner.average_params, state.key).compile()
+        args = shapes.learner.average_params, shapes.key
+        measure = trainer.jit_measure.lower(*args).compile()
     return advance, measure
 
 
@@ -320,8 +339,8 @@ def _finish(
 ) -> None:
     """Writes policy, statistics and posture bank of a run that has reached its end."""
     params = state.learner.average_params
-    measure = jax.jit(functools.partial(trainer.measure, num_envs=256, num_subgoals=20))
-    measured = {name: float(value) for name, value in measure(params, measure_key).items()}
+    measured = trainer.jit_measure(params, measure_key, 256, 20)
+    measured = {name: float(value) for name, value in measured.items()}
     record = {
         "statistics": measured,
         "num_iterations": int(state.iteration),
@@ -335,7 +354,7 @@ def _finish(
         meta=trainer.meta() | record,
         overwrite=True,
     )
-    qpos = jax.jit(trainer.record_postures)(params, posture_key)
+    qpos = trainer.jit_record_postures(params, posture_key)
     bank = postures.PostureBank(qpos=qpos)
     postures.save(bank, run.path / "postures.npz", trainer.robot)
 

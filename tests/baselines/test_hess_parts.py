@@ -216,7 +216,7 @@ def test_the_newest_place_within_reach_is_chosen_unless_it_was_missed():
 def test_a_trained_subgoal_space_is_frozen_once_little_is_missed(miss, num_blocks, frozen):
     options = config.HessConfig(capacity=10, manager=SAC, controller=DDPG)
     learner = learning.Learning(2, 1, 100, 1_000, options)
-    learned = learner.init(100, jax.random.key(0))
+    learned = jax.jit(learner.init, static_argnums=0)(100, jax.random.key(0))
     learned = learned.replace(space=learned.space.replace(num_blocks=jnp.int32(num_blocks)))
     episodes = memory.init(10, 50, 2, (2, 1))
     args = learned, episodes, jnp.int32(51_000), jnp.float32(miss), jax.random.key(1)
@@ -248,14 +248,16 @@ def small_hess(engine, reward="sparse", **options):
 
 
 @functools.cache
-def after_a_round(engine, first_step, num_rounds=1):
-    """Returns HESS's state after an episode of two robots; from then on nearly all is explored."""
+def rounds(engine, first_step):
+    """Returns HESS's states after one and two episodes of two robots.
+
+    From `first_step` on nearly all is explored.
+    """
     explores = config.Exploration(first_step=first_step, success_weight=0.0, every=1)
     hess = small_hess(engine, exploration=explores)
-    state = hess.init(jax.random.key(0))
-    for _ in range(num_rounds):
-        state, _ = jax.jit(hess.advance)(state)
-    return state
+    advance = jax.jit(hess.advance)
+    first, _ = advance(jax.jit(hess.init)(jax.random.key(0)))
+    return first, advance(first)[0]
 
 
 def test_values_are_bounded_by_the_time_where_goals_are_ends():
@@ -269,7 +271,7 @@ def test_both_levels_have_learned_with_the_subgoal_space_that_acts():
     hess = small_hess(sled.Stuck, representation=trained)
     assert hess.steps_per_round == 40
     advance = jax.jit(hess.advance)
-    state, metrics = advance(hess.init(jax.random.key(0)))
+    state, metrics = advance(jax.jit(hess.init)(jax.random.key(0)))
     assert state.learned.space.num_blocks == 0 and np.isnan(metrics["representation_loss"])
     state, metrics = advance(state)
     assert state.learned.space.num_blocks == 1 and np.isfinite(metrics["representation_loss"])
@@ -284,20 +286,20 @@ def walked_rows(state):
 
 
 def test_breaking_down_is_not_worth_arriving():
-    rows = walked_rows(after_a_round(sled.Breaking, 0))
+    rows = walked_rows(rounds(sled.Breaking, 0)[0])
     np.testing.assert_allclose(rows.discount, 0.99)
     np.testing.assert_array_equal(rows.reward, -1.0)
-    rows = walked_rows(after_a_round(Jump, 0))
+    rows = walked_rows(rounds(Jump, 0)[0])
     np.testing.assert_array_equal(rows.discount, 0.0)
     np.testing.assert_array_equal(rows.reward, 0.0)
 
 
 def test_no_place_is_novel_before_any_has_been_counted():
-    squares = after_a_round(sled.Stuck, 0, num_rounds=2).squares
+    squares = rounds(sled.Stuck, 0)[1].squares
     assert not squares.visits.any() and (squares.novelty == 1.0).all()
 
 
 def test_only_what_exploration_chose_and_was_walked_for_is_missed():
-    assert np.isinf(after_a_round(sled.Stuck, 1).miss)
-    assert after_a_round(sled.Stuck, 0).miss > 0.0
-    assert after_a_round(Jump, 0).miss == 0.0
+    assert np.isinf(rounds(sled.Stuck, 1)[0].miss)
+    assert rounds(sled.Stuck, 0)[0].miss > 0.0
+    assert rounds(Jump, 0)[0].miss == 0.0

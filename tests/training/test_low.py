@@ -31,10 +31,15 @@ def _config(run, **changes):
 
 
 @pytest.fixture(scope="module")
-def whole_run(tmp_path_factory):
-    config = _config(tmp_path_factory.mktemp("low") / "whole")
-    low.train(config)
-    return config
+def trainer(tmp_path_factory):
+    """Compiled for one run, it serves others."""
+    return low.LowTrainer(_config(tmp_path_factory.mktemp("low") / "whole"))
+
+
+@pytest.fixture(scope="module")
+def whole_run(trainer):
+    low.train_with(trainer, trainer.config)
+    return trainer.config
 
 
 def test_run_leaves_policy_statistics_and_postures(whole_run):
@@ -49,11 +54,11 @@ def test_run_leaves_policy_statistics_and_postures(whole_run):
     assert json.loads((whole_run.run / "config.json").read_text())["robot"] == "point"
 
 
-def test_resuming_changes_nothing(whole_run, tmp_path):
+def test_resuming_changes_nothing(trainer, whole_run, tmp_path):
     run = tmp_path / "halves"
-    low.train(_config(run, num_iterations=6))
-    low.train(_config(run, resume=True))
-    template = jax.eval_shape(low.LowTrainer(whole_run).init, jax.random.key(0))
+    low.train_with(trainer, _config(run, num_iterations=6))
+    low.train_with(trainer, _config(run, resume=True))
+    template = jax.eval_shape(trainer.init, jax.random.key(0))
     states = [
         checkpoint.restore(path / "checkpoints", template)[1] for path in (whole_run.run, run)
     ]
@@ -73,11 +78,12 @@ def test_starting_from_another_run_goes_on_learning(whole_run, tmp_path):
     reward = low_config.LowReward(is_paced=True, beyond_cell=-1.0)
     start = shutil.copytree(whole_run.run, tmp_path / "start")
     config = _config(tmp_path / "second", start_from=start, reward=reward, num_iterations=6)
-    low.train(config)
+    trainer = low.LowTrainer(config)
+    low.train_with(trainer, config)
     shutil.rmtree(start)
     config = dataclasses.replace(config, num_iterations=12, resume=True)
-    low.train(config)
-    template = jax.eval_shape(low.LowTrainer(config).init, jax.random.key(0))
+    low.train_with(trainer, config)
+    template = jax.eval_shape(trainer.init, jax.random.key(0))
     step, state = checkpoint.restore(config.run / "checkpoints", template)
     assert (step, int(state.iteration), int(state.learner.num_updates)) == (12, 12, 48)
     assert int(state.memory.size) == 8 * (4 + 12 + 12)
