@@ -179,7 +179,7 @@ def _in_rows(
       base.UserError: a round, an episode of all robots, is more than a tenth of the budget.
     """
     steps = int(mazes.load(run.maze).num_decisions) * robots.load(options.robot).steps_per_subgoal
-    per_round = options.num_envs * options.period * -(-steps // options.period)
+    per_round = options.num_envs * options.period * options.num_periods(steps)
     if 10 * per_round > config.num_steps:
         raise base.UserError(
             f"num_steps = {config.num_steps} must be at least {10 * per_round} for hess in "

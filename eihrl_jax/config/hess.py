@@ -226,3 +226,7 @@ class HessConfig(baselines.BaselineConfig):
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
         checks.in_range("high_capacity", self.high_capacity, 1, 2**31 - 1)
         checks.in_range("random_steps", self.random_steps, 0, 2**31 - 1)
+
+    def num_periods(self, episode_steps: int) -> int:
+        """Returns the subgoals of an episode, of which time may cut the last one short."""
+        return -(-episode_steps // self.period)

@@ -188,8 +188,8 @@ def lead(planner, graph, obs, goal_xy):
     return planner.plan(CONTROLLER, graph, obs, goal_xy, ways)
 
 
-@pytest.mark.parametrize("near", [-2.0, -20.0])
-def test_the_planner_leads_along_the_landmarks(near):
+@pytest.mark.parametrize(("near", "then"), [(-2.0, [10.0, 5.0]), (-20.0, [10.0, 9.0])])
+def test_the_planner_leads_along_the_landmarks(near, then):
     options = config.Landmarks(
         num_coverage=4, num_novel=2, pool=4, cutoff=-6.0, near=near, heat=5.0, rounds=4
     )
@@ -204,6 +204,7 @@ def test_the_planner_leads_along_the_landmarks(near):
         return lead(planner, graph, jnp.array([[x, y]]), goal)[0].tolist()
 
     assert plan(1.0, 0.5) == [5.0, 0.0]
+    assert plan(9.0, 4.5) == then  # the goal lies within the cutoff
     assert plan(9.0, 2.5) == [10.0, 5.0]  # the goal lies beyond the cutoff, whatever is near
     assert plan(10.0, 8.0) == [10.0, 9.0]  # near enough to go there itself
 

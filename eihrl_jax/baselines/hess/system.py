@@ -105,7 +105,7 @@ class Hess:
         self.options = options
         self._env = env
         self._centre_xy = side_xy[0] / 2.0, -side_xy[1] / 2.0
-        self._num_periods = -(-episode_steps // options.period)
+        self._num_periods = options.num_periods(episode_steps)
         self.steps_per_round = options.num_envs * self._num_periods * options.period
         obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
         num_seen = jax.eval_shape(self.see, obs).shape[0]
