@@ -49,18 +49,29 @@ def finish(options: RunT, train: Callable[[RunT], object]) -> None:
 
 
 def is_finished(options: Run) -> bool:
-    """Tells whether a run has its policy.
+    """Tells whether a run has its policy, and not one from before it was extended.
 
     Raises:
       base.UserError: it was trained with other options than it would be now.
     """
-    if not (options.run / policies.FOLDER).exists():
+    policy = options.run / policies.FOLDER
+    if not policy.exists():
         return False
     file = options.run / "config.json"
     found = config_lib.from_json(type(options), file.read_text(), source=str(file))
     if dataclasses.replace(found, run=options.run, resume=True) != options:
         raise base.UserError(f"{options.run} was trained with other options: name another --out")
-    return True
+    unit, length = _length(options)
+    return json.loads((policy / "meta.json").read_text())[unit] >= length
+
+
+def _length(options: Run) -> tuple[str, int]:
+    """Returns what a run counts in, by its policy's name for it, and how many it is to have."""
+    if isinstance(options, low_config.LowConfig):
+        return "num_iterations", options.num_iterations
+    if isinstance(options, high_config.HighConfig):
+        return "num_updates", options.learner.num_updates
+    return "num_steps", options.num_steps
 
 
 def evaluated(options: evaluate_config.EvaluateConfig) -> tuple[results.Cell, ...]:

@@ -1,6 +1,7 @@
 """The comparison of low-level options from run folders made by hand, and its bad input."""
 
 import dataclasses
+import json
 
 import pytest
 
@@ -14,6 +15,8 @@ HEADER = "step,eval/along_mean,eval/along_std,eval/lateral_mean,eval/lateral_std
 def _finished(config, name, seed, *rows):
     folder = config.out / name.replace(" ", "-") / f"seed-{seed}"
     (folder / "policy").mkdir(parents=True)
+    meta = {"num_iterations": config.num_iterations}
+    (folder / "policy" / "meta.json").write_text(json.dumps(meta))
     best = dataclasses.replace(
         presets.low_restarting(),
         num_iterations=config.num_iterations,

@@ -1,6 +1,7 @@
 """The small maze: what is trained in it; the training itself takes minutes and isn't repeated."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from eihrl_jax import base, config, mazes
 from eihrl_jax.mazes import paths
 from eihrl_jax.training import baselines
-from experiments import small_maze
+from experiments import _runs, small_maze
 
 
 @pytest.mark.parametrize("method", small_maze.METHODS)
@@ -33,12 +34,16 @@ def test_only_the_way_round_leads_to_the_goal():
     assert distances[3, 1] == 6
 
 
-def test_a_finished_run_is_taken_as_it_is_and_told(tmp_path, monkeypatch, capsys):
-    def fake(options):
-        (options.run / "policy").mkdir(parents=True)
-        (options.run / "config.json").write_text(config.to_json(options))
-        (options.run / "metrics.csv").write_text("step,eval/success\n1,0.1\n2,\n3,0.98\n")
+def fake(options):
+    """Leaves what a training leaves, as far as it is looked at."""
+    (options.run / "policy").mkdir(parents=True, exist_ok=True)
+    meta = {"num_steps": options.num_steps}
+    (options.run / "policy" / "meta.json").write_text(json.dumps(meta))
+    (options.run / "config.json").write_text(config.to_json(options))
+    (options.run / "metrics.csv").write_text("step,eval/success\n1,0.1\n2,\n3,0.98\n")
 
+
+def test_a_finished_run_is_taken_as_it_is_and_told(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(baselines, "train", fake)
     settings = small_maze.SmallConfig(methods=("hess", "hiro"), seeds=(2,), out=tmp_path)
     small_maze.main(settings)
@@ -47,6 +52,18 @@ def test_a_finished_run_is_taken_as_it_is_and_told(tmp_path, monkeypatch, capsys
 
     monkeypatch.setattr(baselines, "train", lambda options: pytest.fail("trained again"))
     small_maze.main(settings)
+
+
+def test_a_run_that_was_extended_and_killed_is_not_finished(tmp_path):
+    settings = small_maze.SmallConfig(out=tmp_path)
+    options = small_maze.options_of(settings, "hiro", 0)
+    _runs.finish(options, fake)
+    extended = dataclasses.replace(options, num_steps=options.num_steps + 1)
+    # A training that goes on says so in the folder first; its policy is still the old one.
+    (options.run / "config.json").write_text(config.to_json(extended))
+    assert not _runs.is_finished(extended)
+    _runs.finish(extended, fake)
+    assert _runs.is_finished(extended)
 
 
 @pytest.mark.parametrize(
