@@ -213,9 +213,7 @@ def _shortened(preset: baselines_config.BaselineConfig) -> baselines_config.Base
         num_envs=2,  # So that there are rounds enough where an episode is long.
         random_steps=30_000,
         capacity=200,
-        representation=dataclasses.replace(
-            preset.representation, every=20_000, late_step=60_000, num_updates=10_000
-        ),
+        representation=dataclasses.replace(preset.representation, every=20_000, num_updates=10_000),
         exploration=dataclasses.replace(
             preset.exploration, first_step=20_000, potential_step=50_000
         ),

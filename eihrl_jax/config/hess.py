@@ -106,7 +106,8 @@ class Representation:
       batch_size: of pairs, and of anchors, per update.
       num_updates: per block of training.
       every: control steps of all environments between blocks.
-      stability: weight of the anchors up to `late_step`.
+      stability: weight of the anchors up to `late_step`; 0.1 in the paper, 0.001 in the released
+        code.
       late_stability: weight after it.
       late_step: control steps until then.
       anchored_share: share of the stored steps, those of the least loss, that are anchored.
@@ -120,7 +121,7 @@ class Representation:
     batch_size: int = 100
     num_updates: int = 50_000
     every: int = 50_000
-    stability: float = 0.001
+    stability: float = 0.1
     late_stability: float = 0.1
     late_step: int = 250_000
     anchored_share: float = 0.3
