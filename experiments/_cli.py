@@ -21,7 +21,15 @@ from eihrl_jax import base
 
 ConfigT = TypeVar("ConfigT")
 
-_PLACE_ERRORS = (errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EROFS, errno.ENOSPC)
+_PLACE_ERRORS = (
+    errno.EACCES,
+    errno.EEXIST,
+    errno.EISDIR,
+    errno.ENOSPC,
+    errno.ENOTDIR,
+    errno.EPERM,
+    errno.EROFS,
+)
 """What is wrong with the place that files are to be read from or written to."""
 
 

@@ -164,6 +164,11 @@ def table2(runs: Runs) -> page.Section:
                     episodes=runs.slow_episodes if is_slow else runs.episodes,
                 )
         rows += _rows({preset: tuple(cells)})
+    if "full" in runs.movement:
+        highs = runs.highs("higl-u")
+        rows += _rows(
+            {"HIGL": runs.evaluate("table2-higl", highs, mazes=("u",), movement=("full",))}
+        )
     return page.Section(
         title="Zero-shot robots (Table 2)",
         text="Trained in the U-shaped maze as an ant, then unchanged as other robots. Who sees "

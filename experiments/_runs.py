@@ -1,13 +1,14 @@
 """Runs of commands that can be stopped and called again: names, and each is made once."""
 
 import dataclasses
+import functools
 import json
 import pathlib
 import shutil
 from collections.abc import Callable
 from typing import TypeVar
 
-from eihrl_jax import base, policies
+from eihrl_jax import base, checkpoint, policies
 from eihrl_jax import config as config_lib
 from eihrl_jax.config import baselines as baselines_config
 from eihrl_jax.config import evaluate as evaluate_config
@@ -38,6 +39,16 @@ def seeds_of(folder: pathlib.Path, run: str) -> list[pathlib.Path]:
     return [found[seed] for seed in sorted(filter(str.isdecimal, found), key=int)]
 
 
+def planned(options: RunT, train: Callable[[RunT], object]) -> Callable[[], None]:
+    """Returns what does as `finish` does.
+
+    Raises:
+      base.UserError: it has been done with other options.
+    """
+    is_finished(options)
+    return functools.partial(finish, options, train)
+
+
 def finish(options: RunT, train: Callable[[RunT], object]) -> None:
     """Trains a run to its end, if that hasn't been done; `options` resume.
 
@@ -52,17 +63,20 @@ def is_finished(options: Run) -> bool:
     """Tells whether a run has its policy, and not one from before it was extended.
 
     Raises:
-      base.UserError: it was trained with other options than it would be now.
+      base.UserError: it was trained with other options than it would be now, or is damaged.
     """
     policy = options.run / policies.FOLDER
-    if not policy.exists():
+    if not checkpoint.is_complete(policy):
         return False
     file = options.run / "config.json"
+    if not file.is_file():
+        raise base.UserError(f"{options.run} has a policy, but no {file.name}")
     found = config_lib.from_json(type(options), file.read_text(), source=str(file))
     if dataclasses.replace(found, run=options.run, resume=True) != options:
         raise base.UserError(f"{options.run} was trained with other options: name another --out")
     unit, length = _length(options)
-    return json.loads((policy / "meta.json").read_text())[unit] >= length
+    meta = json.loads(checkpoint.read_file(policy, "meta.json"))
+    return policies.entry(meta, unit, policy) >= length
 
 
 def _length(options: Run) -> tuple[str, int]:
@@ -88,6 +102,7 @@ def evaluated(options: evaluate_config.EvaluateConfig) -> tuple[results.Cell, ..
         partial.rename(options.out)
     found = results.load(options.out / "eval.json")
     asked = json.loads(config_lib.to_json(options))
-    if {**found.about["config"], "out": ""} != {**asked, "out": ""}:
+    about = found.about if isinstance(found.about, dict) else {}
+    if {**about.get("config", {}), "out": ""} != {**asked, "out": ""}:
         raise base.UserError(f"{options.out} was evaluated with other options: name another --out")
     return found.cells

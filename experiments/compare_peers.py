@@ -92,12 +92,16 @@ def main(config: CompareConfig) -> None:
 
 
 def _planned(config: CompareConfig, run: Run) -> Callable[[], object]:
-    """Returns what makes a run, unless it is there."""
+    """Returns what makes a run, unless it is there.
+
+    Raises:
+      base.UserError: it is there with other options.
+    """
     if run.method == "ours":
-        return functools.partial(_runs.finish, high_options(config, run), _train_ours)
+        return _runs.planned(high_options(config, run), _train_ours)
     if run.method == "rand_h":
         return functools.partial(_runs.evaluated, random_options(config, run))
-    return functools.partial(_runs.finish, baseline_options(config, run), baselines.train)
+    return _runs.planned(baseline_options(config, run), baselines.train)
 
 
 def high_options(config: CompareConfig, run: Run) -> high_config.HighConfig:

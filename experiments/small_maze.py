@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import pathlib
 
-from eihrl_jax import presets
+from eihrl_jax import base, presets
 from eihrl_jax.config import baselines as baselines_config
 from eihrl_jax.config import checks
 from eihrl_jax.config import hess as hess_config
@@ -52,9 +52,15 @@ class SmallConfig:
 
 
 def main(config: SmallConfig) -> None:
-    """Trains what is missing, then tells how far each has come."""
+    """Trains what is missing, then tells how far each has come.
+
+    Raises:
+      base.UserError: the folder holds something else.
+    """
     config.out.mkdir(parents=True, exist_ok=True)
     maze = config.out / f"{NAME}.txt"
+    if maze.exists() and maze.read_text() != MAZE:
+        raise base.UserError(f"{maze} is another maze than is trained in: name another --out")
     maze.write_text(MAZE)
     runs = [
         options_of(config, method, seed)

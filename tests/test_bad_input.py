@@ -26,6 +26,10 @@ MISTAKES = [
         "train_baseline --method hrac --period 2 --periods-per-round 4",
         ["adjacency.steps = 9", "at most 7"],
     ),
+    (
+        "train_baseline --method hiro --guidance landmarks",
+        ["guidance = 'landmarks'", "'none'", "method = 'hiro'"],
+    ),
     ("train_baseline --maze nowhere.txt", ["nowhere.txt"]),
     ("train_baseline --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
     ("train_baseline --method hess --num-decisions 2", ["period = 50", "the 50 control steps"]),
@@ -55,7 +59,20 @@ MISTAKES = [
     ("evaluate --high {tmp}/walker", ["{tmp}/walker", "low-level", "high-level"]),
     ("evaluate --high random --low {tmp}/walker", ["{tmp}/walker", "'point'", "'ant'"]),
     ("evaluate --high random --out {tmp}/old", ["{tmp}/old"]),
+    ("compare_peers --methods dqn", ["methods = 'dqn'", "rand_h", "hess"]),
+    ("compare_peers --methods hess --mazes spiral --num-steps 9000", ["num_steps = 9000", "hess"]),
+    ("compare_peers --methods ours --out {tmp}/peers", ["peers/ours-random-0", "config.json"]),
+    ("small_maze --methods droq", ["methods = 'droq'", "hiro, hrac, higl, hess"]),
+    ("small_maze --out {tmp}/closed.txt", ["{tmp}/closed.txt"]),
+    ("report --parts peers", ["--peers"]),
+    ("report --parts peers --peers {tmp}/old", ["{tmp}/old", "<method>-<maze>-<seed>"]),
+    ("reproduce_higl --method hess", ["--method", "hess"]),
+    ("reproduce_higl --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
 ]
+
+WHERE = {"train_low": "--run", "train_high": "--run", "train_baseline": "--run"}
+WHERE |= {"reproduce_higl": "--run"}
+"""The option that names the folder, where it isn't --out."""
 
 MAZES = {
     "closed": "#####\n#S#1#\n#####\n",
@@ -73,6 +90,8 @@ def place(tmp_path):
         (tmp_path / f"{name}.txt").write_text(text)
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "config.json").write_text("{}")
+    run = tmp_path / "peers" / "ours-random-0" / "policy"
+    policies.save(run, kind="high", params={}, meta={})
     policies.save(tmp_path / "walker", kind="low", params={}, meta={"robot": "point"})
     policies.save(tmp_path / "truncated", kind="high", params={}, meta={})
     meta = tmp_path / "truncated" / "meta.json"
@@ -87,13 +106,14 @@ def snapshot(folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
 @pytest.mark.parametrize(("line", "words"), MISTAKES, ids=[line for line, _ in MISTAKES])
 def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
     module, *arguments = line.format(tmp=place).split()
-    where = "--out" if module == "evaluate" else "--run"
+    where = WHERE.get(module, "--out")
     if where not in arguments:
         arguments += [where, RUN.format(tmp=place)]
     before = snapshot(place)
     monkeypatch.setattr(_cli, "_set_compilation_cache", lambda: None)
     monkeypatch.setattr(parallel, "use_cpu_cores", lambda: None)
     monkeypatch.setattr(sys, "argv", [module, *arguments])
+    monkeypatch.delitem(sys.modules, f"experiments.{module}", raising=False)
     with pytest.raises(SystemExit) as end:
         runpy.run_module(f"experiments.{module}", run_name="__main__")
     assert end.value.code == 2
@@ -105,9 +125,13 @@ def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
     assert {file: after.get(file) for file in before} == before
 
 
-@pytest.mark.parametrize("module", ["train_low", "train_high", "evaluate", "kill_resume"])
+@pytest.mark.parametrize(
+    "module",
+    ["train_low", "train_high", "train_baseline", "compare_peers", "evaluate", "kill_resume"],
+)
 def test_help_names_options_and_defaults(module, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [module, "--help"])
+    monkeypatch.delitem(sys.modules, f"experiments.{module}", raising=False)
     with pytest.raises(SystemExit) as end:
         runpy.run_module(f"experiments.{module}", run_name="__main__")
     assert end.value.code == 0

@@ -1,13 +1,16 @@
 """Options of HIGL, HRAC and HIRO; defaults are those of HIGL's released code."""
 
 import dataclasses
-from typing import Literal, get_args
+from typing import Literal
 
 from eihrl_jax import base
 from eihrl_jax.config import baselines, checks
 
 Guidance = Literal["landmarks", "adjacency", "none"]
-"""What holds the manager of HIGL, HRAC and HIRO back from subgoals out of reach, in this order."""
+"""What holds a manager back from subgoals out of reach."""
+
+GUIDANCE: dict[str, Guidance] = {"higl": "landmarks", "hrac": "adjacency", "hiro": "none"}
+"""What makes the methods differ."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -107,6 +110,8 @@ class Landmarks:
       num_coverage: landmarks that are spread over what has been visited.
       num_novel: landmarks that were the most novel when they were visited.
       pool: stored steps from which the former are chosen.
+      per_update: whether they and the graph are made anew for each update of the manager, as
+        released, or once per round.
       merge_radius: novel landmarks nearer than this to a newer visit, or to a more novel one that
         is as new, are dropped, units.
       novelty_hidden: widths of the hidden layers of the networks that tell novelty.
@@ -125,6 +130,7 @@ class Landmarks:
     num_coverage: int = 20
     num_novel: int = 20
     pool: int = 1_000
+    per_update: bool = False
     merge_radius: float = 0.2
     novelty_hidden: tuple[int, ...] = (128, 128)
     novelty_rate: float = 1e-3
@@ -160,7 +166,7 @@ class HiglConfig(baselines.BaselineConfig):
     end with the episode, in which case the robot rests until the period is over.
 
     Attributes:
-      guidance: what holds the manager back: landmarks in HIGL, adjacency in HRAC, none in HIRO.
+      guidance: what holds the manager back, see `GUIDANCE`.
       guidance_weight: of the term in the manager's loss that does it.
       landmark_distance: how far towards its landmark the manager is asked to go, units.
       period: k, control steps per subgoal.
@@ -204,8 +210,12 @@ class HiglConfig(baselines.BaselineConfig):
 
     def __post_init__(self) -> None:
         """Checks ranges, and how the options fit together."""
-        baselines.check_arena(self, ("higl", "hrac", "hiro"))
-        checks.one_of("guidance", self.guidance, get_args(Guidance))
+        baselines.check_arena(self, tuple(GUIDANCE))
+        if self.guidance != GUIDANCE[self.method]:
+            raise base.UserError(
+                f"guidance = {self.guidance!r} must be {GUIDANCE[self.method]!r} with method = "
+                f"{self.method!r}"
+            )
         checks.in_range("guidance_weight", self.guidance_weight, 0.0)
         checks.in_range("landmark_distance", self.landmark_distance, above=0.0)
         checks.in_range("period", self.period, 1, 1_000)

@@ -1,4 +1,4 @@
-"""DroQ on problems whose action values are known, and its book-keeping."""
+"""DroQ's temperature and book-keeping; its values are told by `tests.baselines.test_probes`."""
 
 import dataclasses
 
@@ -41,38 +41,6 @@ def _train(learner, reward, discount, num_updates=400):
 
     keys = jax.random.split(jax.random.key(1), num_updates)
     return jax.jit(lambda state: jax.lax.scan(body, state, keys))(learner.init(jax.random.key(0)))
-
-
-def _values(learner, state, obs, action):
-    return learner.values(state.critic_params, obs, action, jax.random.key(9))
-
-
-def test_terminal_reward_that_depends_on_the_observation():
-    learner = _learner()
-    state, _ = _train(learner, lambda obs, action: obs[:, 0], 0.0)
-    obs = jnp.array([[1.0, 1.0], [-1.0, 1.0]])
-    values = _values(learner, state, obs, jnp.zeros((2, 1)))
-    np.testing.assert_allclose(values, [[1.0, -1.0]] * 2, atol=0.15)
-
-
-@pytest.mark.parametrize("discount", [0.0, 0.8])
-def test_discount_alone_tells_a_time_limit_from_an_end(discount):
-    # Reward 1 for ever: Q = 1 where steps end the episode, 1 / (1 - discount) where they don't.
-    learner = _learner(target_entropy=-5.0)
-    state, _ = _train(learner, lambda obs, action: jnp.ones(len(obs)), discount, 800)
-    values = _values(learner, state, jnp.ones((1, 2)), jnp.zeros((1, 1)))
-    np.testing.assert_allclose(values, 1.0 / (1.0 - discount), rtol=0.15)
-
-
-def test_actor_finds_the_rewarded_action():
-    learner = _learner()
-    state, _ = _train(
-        learner, lambda obs, action: -jnp.square(action[:, 0] - 0.5 * obs[:, 1]), 0.0, 800
-    )
-    for sign in (1.0, -1.0):
-        obs = jnp.array([1.0, sign])
-        action = learner.act(state.actor_params, obs, jax.random.key(0), deterministic=True)
-        np.testing.assert_allclose(action, [0.5 * sign], atol=0.15)
 
 
 def test_temperature_moves_entropy_to_its_target():

@@ -44,3 +44,17 @@ class Breaking(Sled):
     def step(self, state, ctrl, walls_xy):
         del ctrl, walls_xy
         return state.replace(qpos=state.qpos.at[7].set(jnp.nan))
+
+
+class Disc(Sled):
+    """Stands in for a point, both controls of which move it; nothing else can happen to it."""
+
+    def __init__(self):
+        """Takes the point's shape, with few control steps per subgoal."""
+        self.robot = dataclasses.replace(robots.load("point"), steps_per_subgoal=K)
+        self.model = scene.build(self.robot)
+
+    def step(self, state, ctrl, walls_xy):
+        """Moves by a fifth of a cell times the controls."""
+        del walls_xy
+        return state.replace(qpos=state.qpos + base.CELL / K * ctrl)

@@ -1,11 +1,10 @@
 """The comparison of low-level options from run folders made by hand, and its bad input."""
 
 import dataclasses
-import json
 
 import pytest
 
-from eihrl_jax import base, presets
+from eihrl_jax import base, policies, presets
 from eihrl_jax import config as config_lib
 from experiments import ablate_low
 
@@ -14,9 +13,8 @@ HEADER = "step,eval/along_mean,eval/along_std,eval/lateral_mean,eval/lateral_std
 
 def _finished(config, name, seed, *rows):
     folder = config.out / name.replace(" ", "-") / f"seed-{seed}"
-    (folder / "policy").mkdir(parents=True)
-    meta = {"num_iterations": config.num_iterations}
-    (folder / "policy" / "meta.json").write_text(json.dumps(meta))
+    meta = {"robot": "ant", "num_iterations": config.num_iterations}
+    policies.save(folder / "policy", kind="low", params={}, meta=meta)
     best = dataclasses.replace(
         presets.low_restarting(),
         num_iterations=config.num_iterations,

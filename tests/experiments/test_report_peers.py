@@ -7,21 +7,22 @@ from eihrl_jax import base
 from eihrl_jax.evaluation import results, statistics
 from experiments import _report_peers
 
-PEER = """step,success,episodes,eval/success,eval/reward
-2000,nan,0.0,,
-4000,0.5,2.0,0.1,0.01
-6000,0.5,4.0,,
-8000,0.5,2.0,0.4,0.02
+PEER = """step,success,episodes,eval/success,eval/reward,eval/return
+2000,nan,0.0,,,
+4000,0.5,2.0,0.1,0.01,0.1
+6000,0.5,4.0,,,
+8000,0.5,2.0,0.4,0.02,0.4
 """
-OURS = """step,num_decisions,decisions,eval/success,eval/reward
-20,1000.0,20.0,0.2,0.1
-40,2000.0,10.0,,
-60,3000.0,10.0,0.9,0.3
+OURS = """step,num_decisions,decisions,eval/success,eval/reward,eval/return
+20,1000.0,20.0,0.2,0.1,0.2
+40,2000.0,10.0,,,
+60,3000.0,10.0,0.9,0.3,0.9
 """
 
-EQUAL = """step,num_decisions,episodes,decisions,eval/success,walking/success,walking/reward
-5,160.0,4.0,nan,0.5,0.4,0.05
-10,320.0,8.0,20.0,0.9,0.8,0.2
+EQUAL = """step,num_decisions,episodes,decisions,eval/success,eval/return,walking/success,\
+walking/return
+5,160.0,4.0,nan,0.5,0.5,0.4,0.4
+10,320.0,8.0,20.0,0.9,0.9,0.8,0.8
 """
 RANDOM = results.Cell(
     maze="u",
@@ -77,7 +78,7 @@ def ours(folders):
     return lambda trained: sorted((folders / "ours").glob(f"{trained}-[0-9]*/metrics.csv"))
 
 
-@pytest.mark.parametrize(("y", "value"), [("success", 0.3), ("reward", 0.25)])
+@pytest.mark.parametrize(("y", "value"), [("success", 0.3), ("return", 6.0), ("reward", 0.25)])
 def test_rand_h_is_a_level_line_along_all_others(folders, y, value):
     others = {"ours, walking": [np.array([[4e3, 0.5], [8e3, 0.9]])]}
     (line,) = _report_peers._flat(folders / "peers", "u", y, others)["RAND-H"]
@@ -107,6 +108,8 @@ def test_runs_of_other_settings_and_those_not_yet_begun_are_no_seeds(folders):
 def test_every_task_that_a_peer_learned_has_its_pictures(folders):
     section = _report_peers.section(ours(folders), folders / "peers", folders / "out")
     assert [picture.path.name for picture in section.pictures] == [
+        "peers-u-return-episodes.png",
+        "peers-u-return-control-steps.png",
         "peers-u-success-episodes.png",
         "peers-u-success-control-steps.png",
         "peers-u-dense-reward-episodes.png",
@@ -115,14 +118,28 @@ def test_every_task_that_a_peer_learned_has_its_pictures(folders):
         "peers-u-dense-success-control-steps.png",
     ]
     assert all(picture.path.stat().st_size > 10_000 for picture in section.pictures)
-    sparse, dense = section.tables
-    assert sparse.rows == [
+    success, goals, dense_success, dense_reward, reached = section.tables
+    budget = "after 8,000 control steps: mean (range), seeds"
+    assert success.title == f"Success, %, sparse reward, {budget}"
+    assert goals.title == f"Goals reached per episode, sparse reward, {budget}"
+    assert success.rows == [
         ["ours, walking", "80 (80 to 80), 1"],
         ["ours, oracle", "90 (90 to 90), 1"],
         ["HIGL", "40 (40 to 40), 2"],
         ["RAND-H", "30 (30 to 30), 1"],
     ]
-    assert dense.rows == [["flat DroQ", "40 (40 to 40), 2"]]
+    assert goals.rows[2] == ["HIGL", "0.40 (0.40 to 0.40), 2"]
+    assert dense_success.rows == [["flat DroQ", "40 (40 to 40), 2"]]
+    assert dense_reward.rows == [["flat DroQ", "0.020 (0.020 to 0.020), 2"]]
+    # RAND-H's return of 6 goals is made up.
+    assert reached.rows == [
+        [
+            "u",
+            "goals reached per episode",
+            "0.80 (0.80 to 0.80), 1",
+            "RAND-H 6.00 (6.00 to 6.00), 1",
+        ]
+    ]
 
 
 HALF = PEER.partition("6000")[0]

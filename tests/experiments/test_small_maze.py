@@ -1,12 +1,11 @@
 """The small maze: what is trained in it; the training itself takes minutes and isn't repeated."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 
-from eihrl_jax import base, config, mazes
+from eihrl_jax import base, config, mazes, policies
 from eihrl_jax.mazes import paths
 from eihrl_jax.training import baselines
 from experiments import _runs, small_maze
@@ -36,9 +35,8 @@ def test_only_the_way_round_leads_to_the_goal():
 
 def fake(options):
     """Leaves what a training leaves, as far as it is looked at."""
-    (options.run / "policy").mkdir(parents=True, exist_ok=True)
     meta = {"num_steps": options.num_steps}
-    (options.run / "policy" / "meta.json").write_text(json.dumps(meta))
+    policies.save(options.run / "policy", kind="baseline", params={}, meta=meta, overwrite=True)
     (options.run / "config.json").write_text(config.to_json(options))
     (options.run / "metrics.csv").write_text("step,eval/success\n1,0.1\n2,\n3,0.98\n")
 
@@ -64,6 +62,14 @@ def test_a_run_that_was_extended_and_killed_is_not_finished(tmp_path):
     assert not _runs.is_finished(extended)
     _runs.finish(extended, fake)
     assert _runs.is_finished(extended)
+
+
+def test_another_maze_of_that_name_is_not_overwritten(tmp_path):
+    maze = tmp_path / "u5.txt"
+    maze.write_text("####\n#1S#\n####\n")
+    with pytest.raises(base.UserError, match=r"u5.txt is another maze than is trained in"):
+        small_maze.main(small_maze.SmallConfig(out=tmp_path))
+    assert maze.read_text() == "####\n#1S#\n####\n"
 
 
 @pytest.mark.parametrize(

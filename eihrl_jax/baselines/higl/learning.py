@@ -196,29 +196,42 @@ class Learning:
         pool_key, draw_key, update_key = jax.random.split(key, 3)
         count, size = self.options.num_high_updates, self.options.manager.batch_size
         rows = replay.sample(high_memory, (count, size), draw_key)
-        graph, ways = None, None
+        pools, graph, ways = None, None, None
         if self.options.guidance == "landmarks":
-            pool = replay.sample(memory, (self.options.landmarks.pool,), pool_key).obs
-            graph = self._planner.graph(learned.controller, pool, learned.novelty)
-            ways = self._planner.ways(learned.controller, graph, rows.goal_xy.reshape(-1, 2))
-            ways = ways.reshape(count, size, -1)
+            num = self.options.landmarks.pool
+            shape = (count, num) if self.options.landmarks.per_update else (num,)
+            pools = replay.sample(memory, shape, pool_key).obs
+            if not self.options.landmarks.per_update:
+                graph, ways = self._map(learned, pools, rows.goal_xy)
+                pools = None
 
         def body(
             state: td3.Td3State,
-            xs: tuple[relabelling.SubgoalRow, Float[Array, "B L"] | None, Key[Array, ""]],
+            xs: tuple[relabelling.SubgoalRow, Array | None, Array | None, Key[Array, ""]],
         ) -> tuple[td3.Td3State, dict[str, Array]]:
-            row, ways, key = xs
+            row, pool, ways, key = xs
             correct_key, noise_key = jax.random.split(key)
             batch = self.subgoal_transition(learned.controller, row, correct_key)
             weight = row.is_running[:, 0].astype(jnp.float32)
             penalty = None
             if self.options.guidance != "none":
-                ahead_xy = self._ahead(learned, graph, row, ways, has_landmarks)
+                lead = graph, ways
+                if pool is not None:
+                    lead = self._map(learned, pool, row.goal_xy)
+                ahead_xy = self._ahead(learned, *lead, row, has_landmarks)
                 penalty = self._penalty(learned.places.params, row.obs[:, 0, :2], ahead_xy)
             return self.manager.update(state, batch, weight, noise_key, penalty)
 
         keys = jax.random.split(update_key, count)
-        return jax.lax.scan(body, learned.manager, (rows, ways, keys))
+        return jax.lax.scan(body, learned.manager, (rows, pools, ways, keys))
+
+    def _map(
+        self, learned: Learned, pool: Float[Array, "P F"], goal_xy: Float[Array, "*B 2"]
+    ) -> tuple[landmarks.Graph, Float[Array, "*B L"]]:
+        """Returns the landmarks that are chosen from a pool, and their ways to goals."""
+        graph = self._planner.graph(learned.controller, pool, learned.novelty)
+        ways = self._planner.ways(learned.controller, graph, goal_xy.reshape(-1, 2))
+        return graph, ways.reshape(*goal_xy.shape[:-1], -1)
 
     def subgoal_transition(
         self, controller: td3.Td3State, row: relabelling.SubgoalRow, key: Key[Array, ""]
@@ -251,8 +264,8 @@ class Learning:
         self,
         learned: Learned,
         graph: landmarks.Graph | None,
-        row: relabelling.SubgoalRow,
         ways: Float[Array, "B L"] | None,
+        row: relabelling.SubgoalRow,
         has_landmarks: Bool[Array, ""],
     ) -> Float[Array, "B 2"]:
         """Returns the places that subgoals are held to: a step towards the landmark, or here."""

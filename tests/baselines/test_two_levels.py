@@ -1,0 +1,86 @@
+"""The two-level baselines find their way on open floor, where what it costs is known."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from eihrl_jax import mazes, presets
+from eihrl_jax.baselines import system as system_lib
+from eihrl_jax.config import hess, higl
+from eihrl_jax.envs import goal_maze
+from eihrl_jax.mazes import generators
+from eihrl_jax.training import baselines
+from tests.envs import sled
+
+FLOOR = "#######\n#1....#\n#.....#\n#..S..#\n#.....#\n#.....#\n#######\n"
+NUM_DECISIONS = 4
+SIDE = 21
+ROUNDS = {"hiro": 60, "hrac": 90, "higl": 90, "hess": 180}
+"""Episodes of ten robots, 20 control steps each, that a method needs."""
+
+LEVEL = {"hidden": (64, 64), "actor_rate": 1e-3, "critic_decay": 0.0}
+FEUDAL = {
+    "periods_per_round": NUM_DECISIONS,
+    "updates_per_step": 0.5,
+    "capacity": 20_000,
+    "manager": higl.Td3(reach=3.0, gamma=0.99, **LEVEL),
+    "controller": higl.Td3(
+        reach=1.0, noise=0.3, target_noise=0.1, target_clip=0.3, gamma=0.95, **LEVEL
+    ),
+    "adjacency": higl.Adjacency(steps=4, hidden=(64, 64), period=2_000, max_updates=2_000),
+    "landmark_distance": 1.0,
+    "landmarks": higl.Landmarks(num_coverage=10, num_novel=5, pool=100, first_step=4_000),
+}
+EXPLORING = {
+    "capacity": 400,
+    "random_steps": 4_000,
+    "manager": hess.Sac(hidden=(64, 64)),
+    "controller": hess.Ddpg(
+        hidden=(64, 64), critic_hidden=(64, 64), learning_rate=1e-3, updates_per_step=0.5
+    ),
+    "representation": hess.Representation(
+        hidden=(64,), learning_rate=1e-3, num_updates=2_000, every=2_000
+    ),
+    "exploration": hess.Exploration(
+        first_step=2_000, potential_step=6_000, every=2_000, num_candidates=100, success_weight=1.0
+    ),
+}
+
+
+@pytest.mark.parametrize("method", ["hiro", "hrac", "higl", "hess"])
+def test_both_levels_together_learn_to_walk_straight_to_any_goal(method):
+    changes = EXPLORING if method == "hess" else FEUDAL
+    options = dataclasses.replace(
+        presets.BASELINES[method],
+        robot="point",
+        period=sled.K,
+        num_envs=10,
+        high_capacity=4_000,
+        **changes,
+    )
+    floor = generators.goals_anywhere(mazes.parse(FLOOR, num_decisions=NUM_DECISIONS))
+    env = goal_maze.GoalMaze(sled.Disc(), floor)
+    side_xy = SIDE, SIDE
+    system = system_lib.make(env, 2, side_xy, NUM_DECISIONS * sled.K, options)
+    arena = baselines.Arena(method, env, side_xy, system)
+    state, _ = arena.advance(jax.jit(system.init)(jax.random.key(0)), ROUNDS[method])
+    found = arena.evaluate(system.policy(state), jax.random.key(7), 50)
+    success, steps = (float(found[f"sum_{name}"]) / 50 for name in ("success", "steps"))
+    # The farthest goals are eight steps away, and an episode has twenty.
+    assert success >= (0.85 if method == "hess" else 0.95)
+    assert steps <= (10.0 if method == "hess" else 8.5)
+    if method != "hess":
+        # Every step costs 0.1, but for the last one; who never arrives pays 2.
+        value = start_value(env, system, state)
+        assert value == pytest.approx(-0.1 * (steps - 1.0), abs=0.3)
+
+
+def start_value(env, system, state):
+    """Returns the mean of what the manager's first subgoals are worth to it."""
+    obs = jax.vmap(env.reset)(jax.random.split(jax.random.key(3), 50)).obs
+    features = jax.vmap(system._manager_features)(obs)
+    level, manager = system._learning.manager, state.learned.manager
+    subgoal = level.act(manager.actor_params, features)
+    return float(jnp.mean(level.values(manager.critic_params, features, subgoal).min(0)))
