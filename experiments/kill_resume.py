@@ -15,7 +15,6 @@ import shutil
 import subprocess
 import sys
 import time
-from typing import Literal
 
 import jax
 import numpy as np
@@ -34,6 +33,12 @@ SHORT = {
         "--learner.num-updates 4000 --learner.num-workers 16 --num-eval-episodes 16 "
         "--log-every 20 --evaluate-every 200 --checkpoint-every 200"
     ),
+    "baseline": (
+        "--method hiro --robot point --maze u --num-decisions 4 --num-envs 2 --period 5 "
+        "--periods-per-round 2 --capacity 2000 --high-capacity 400 --manager.hidden 16 "
+        "--controller.hidden 16 --num-eval-episodes 2 --log-rounds 5 --evaluate-every 20 "
+        "--checkpoint-every 4 --num-steps 8000"
+    ),
 }
 """Options of a run that takes seconds and checkpoints all the time."""
 
@@ -43,14 +48,14 @@ class Options:
     """Kills a trainer at random moments, resumes it and compares with an undisturbed run.
 
     Attributes:
-      trainer: which of the two trainers.
+      trainer: which of the trainers.
       kills: how many runs are killed.
       options: options of the trainer, as on its command line; by default those of a short run.
       run: folder for all the runs; must not exist.
       seed: of the moments.
     """
 
-    trainer: Literal["low", "high"] = "high"
+    trainer: policies.Kind = "high"
     kills: int = 20
     options: str | None = None
     run: pathlib.Path = pathlib.Path("runs/kill_resume")
