@@ -170,6 +170,18 @@ def test_a_baseline_is_evaluated_beside_ours(finished, maze, tmp_path):
     assert list((tmp_path / "evaluation").glob("*.gif"))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_robots_walk_on_either_engine(method, maze, tmp_path):
+    options = config_of(method, maze, tmp_path / "run", engine="mjx")
+    baselines.train(options)
+    with (options.run / "metrics.csv").open() as file:
+        *_, last = csv.DictReader(file)
+    assert int(last["step"]) >= options.num_steps and 0.0 <= float(last["eval/success"]) <= 1.0
+    _, meta = policies.load(policies.find(options.run, "baseline"), kind="baseline")
+    assert meta["config"]["engine"] == "mjx"
+
+
 @pytest.mark.parametrize(("goals", "expected"), [("own", {1.5}), ("anywhere", {1.5, 4.5, 7.5})])
 def test_goals_may_lie_anywhere_in_training_but_not_in_evaluations(tmp_path, goals, expected):
     path = tmp_path / "corridor.txt"
