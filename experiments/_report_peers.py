@@ -37,11 +37,11 @@ _MEASURES: dict[base.Reward, tuple[str, ...]] = {
 """What is drawn. Ours is paid once per decision: dense rewards are means, sparse ones sums."""
 
 _UNITS = {
-    "return": ("goals reached per episode", 1.0),
-    "reward": ("reward per step", 1.0),
-    "success": ("success, %", 100.0),
+    "return": ("goals reached per episode", 1.0, 2),
+    "reward": ("reward per step", 1.0, 3),
+    "success": ("success, %", 100.0, 0),
 }
-"""Name and factor of each."""
+"""Name, factor and decimals of each."""
 
 _STYLES = ("ours, walking", "ours, oracle", "flat DroQ", "HIGL", "HESS", RAND_H, LONG)
 """Order in which lines are given to labels: those of one colour belong together."""
@@ -141,14 +141,10 @@ def _spread(end: Curve | None, y: str) -> str:
     """Writes mean, range and number of the last values of several seeds."""
     if end is None:
         return "-"
-    scale = _UNITS[y][1]
-    digits = 0 if scale == 100.0 else 3 if y == "reward" else 2
-    mean, low, high = (f"{scale * x:.{digits}f}" for x in _mean_and_range(end[:, 1]))
+    _, scale, digits = _UNITS[y]
+    values = scale * end[:, 1]
+    mean, low, high = (f"{x:.{digits}f}" for x in (values.mean(), values.min(), values.max()))
     return f"{mean} ({low} to {high}), {len(end)}"
-
-
-def _mean_and_range(values: Float[np.ndarray, " N"]) -> tuple[float, float, float]:
-    return float(values.mean()), float(values.min()), float(values.max())
 
 
 def _steps(ends: Sequence[float]) -> str:
@@ -175,7 +171,7 @@ def _pictures(
         drawn = _at_equal_budgets(peers, task, y, read)
         if files := long(f"best-{task}"):
             drawn[LONG] = [read(file, f"eval/{y}") for file in files]
-        label, scale = _UNITS[y]
+        label, scale, _ = _UNITS[y]
         path = out / f"peers-{task}-{y}-{axis.replace(' ', '-')}.png"
         out.mkdir(parents=True, exist_ok=True)
         curves.save_spread(

@@ -199,11 +199,11 @@ class Learning:
         pools, graph, ways = None, None, None
         if self.options.guidance == "landmarks":
             num = self.options.landmarks.pool
-            shape = (count, num) if self.options.landmarks.per_update else (num,)
-            pools = replay.sample(memory, shape, pool_key).obs
-            if not self.options.landmarks.per_update:
-                graph, ways = self._map(learned, pools, rows.goal_xy)
-                pools = None
+            if self.options.landmarks.per_update:
+                pools = replay.sample(memory, (count, num), pool_key).obs
+            else:
+                pool = replay.sample(memory, (num,), pool_key).obs
+                graph, ways = self._map(learned, pool, rows.goal_xy)
 
         def body(
             state: td3.Td3State,
