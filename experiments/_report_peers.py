@@ -72,9 +72,10 @@ def section(
         if not pictures:
             raise base.UserError(f"peers = {peers} holds no <method>-<maze>-<seed>")
         ends: dict[tuple[base.Reward, str], dict[str, dict[str, Curve]]] = {
-            (reward, y): _ends(peers, reward, y)
+            (reward, y): found
             for reward in base.REWARDS
             for y in reversed(_MEASURES[reward])
+            if (found := _ends(peers, reward, y))
         }
         at_the_end = [_at_the_end(*task, found) for task, found in ends.items()]
         at_the_end.append(_where_ours_is_reached(ends))

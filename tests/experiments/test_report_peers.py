@@ -142,6 +142,19 @@ def test_every_task_that_a_peer_learned_has_its_pictures(folders):
     ]
 
 
+def test_one_reward_is_enough(folders):
+    for seed in (0, 1):
+        (folders / "peers" / f"droq-u-dense-{seed}" / "metrics.csv").unlink()
+    section = _report_peers.section(ours(folders), folders / "peers", folders / "out")
+    assert [picture.path.name.split("-")[2] for picture in section.pictures] == [
+        *("return", "return", "success", "success")
+    ]
+    assert [table.title.split(",")[0] for table in section.tables[:2]] == [
+        "Success",
+        "Goals reached per episode",
+    ]
+
+
 HALF = PEER.partition("6000")[0]
 
 
