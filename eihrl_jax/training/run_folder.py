@@ -197,10 +197,17 @@ def _check_same_options(file: pathlib.Path, options: Any, may_change: Collection
     new = json.loads(config.to_json(options))
     if isinstance(stored, dict):
         # What both know comes first: runs of two methods differ in their options, too.
-        shared = {name: stored[name] for name in new if name in stored}
-        _check_unchanged(file, {name: new[name] for name in shared}, shared, may_change)
+        _check_unchanged(file, _common(new, stored), _common(stored, new), may_change)
     old = config.from_json(type(options), text, source=str(file))
     _check_unchanged(file, new, json.loads(config.to_json(old)), may_change)
+
+
+def _common(options: Any, others: Any) -> Any:
+    """Returns those options that are among the others too, nested ones alike."""
+    if not (isinstance(options, dict) and isinstance(others, dict)):
+        return options
+    both = [name for name in options if name in others]
+    return {name: _common(options[name], others[name]) for name in both}
 
 
 def _check_unchanged(file: pathlib.Path, new: Any, old: Any, may_change: Collection[str]) -> None:

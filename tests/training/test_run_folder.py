@@ -229,12 +229,16 @@ def test_damaged_config_is_named(tmp_path):
         create(tmp_path / "run", resume=True)
 
 
-def test_option_that_is_newer_than_the_run_counts_as_left_alone(tmp_path):
+@pytest.mark.parametrize("of", ["the run", "its network"])
+def test_option_that_is_newer_than_the_run_counts_as_left_alone(of, tmp_path):
     """A run of an earlier version goes on; but not with another value of the new option."""
     create(tmp_path / "run").close()
     file = tmp_path / "run" / "config.json"
     options = json.loads(file.read_text())
-    del options["network"]
+    if of == "the run":
+        del options["network"]
+    else:
+        del options["network"]["widths"]
     file.write_text(json.dumps(options))
     create(tmp_path / "run", resume=True).close()
     with pytest.raises(base.UserError, match=r"network.widths = \[256, 256\]"):
