@@ -46,7 +46,7 @@ def test_a_finished_run_is_taken_as_it_is_and_told(tmp_path, monkeypatch, capsys
     settings = small_maze.SmallConfig(methods=("hess", "hiro"), seeds=(2,), out=tmp_path)
     small_maze.main(settings)
     told = capsys.readouterr().out.splitlines()
-    assert told == ["hiro, seed 2: 98% after 60,000", "hess, seed 2: 98% after 200,000"]
+    assert told == ["hiro, seed 2: 98% after 150,000", "hess, seed 2: 98% after 200,000"]
 
     monkeypatch.setattr(baselines, "train", lambda options: pytest.fail("trained again"))
     small_maze.main(settings)
