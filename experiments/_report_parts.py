@@ -76,6 +76,13 @@ class Runs:
         wanted |= {"out": self.out / "evaluations" / name} | options
         return _runs.evaluated(evaluate_config.EvaluateConfig(**wanted))  # pyright: ignore
 
+    def higl(self, name: str, trained_in: str, mazes: tuple[str, ...]) -> tuple[results.Cell, ...]:
+        """Returns the results of HIGL, see `evaluate`; none where nobody walks."""
+        if "full" not in self.movement:
+            return ()
+        highs = self.highs(f"higl-{trained_in}")
+        return self.evaluate(name, highs, mazes=mazes, movement=("full",))
+
     def picture(self, name: str, pattern: str, caption: str) -> list[page.Picture]:
         """Returns the first picture of an evaluation whose name fits, if there is one."""
         found = sorted((self.out / "evaluations" / name).glob(pattern))
@@ -89,9 +96,7 @@ def table1(runs: Runs) -> page.Section:
         for preset, highs, _ in _trained_for_others(runs)
     }
     evaluated[RAND_H] = runs.evaluate("table1-random", ("random",), mazes=TABLE1)
-    if "full" in runs.movement:
-        highs = runs.highs("higl-random")
-        evaluated["HIGL"] = runs.evaluate("table1-higl", highs, mazes=TABLE1, movement=("full",))
+    evaluated["HIGL"] = runs.higl("table1-higl", "random", TABLE1)
     rows = [
         comparison.Row("paper, oracle", published=paper.TABLE1["oracle"]),
         comparison.Row("paper, walking", published=paper.TABLE1["full"]),
@@ -164,11 +169,7 @@ def table2(runs: Runs) -> page.Section:
                     episodes=runs.slow_episodes if is_slow else runs.episodes,
                 )
         rows += _rows({preset: tuple(cells)})
-    if "full" in runs.movement:
-        highs = runs.highs("higl-u")
-        rows += _rows(
-            {"HIGL": runs.evaluate("table2-higl", highs, mazes=("u",), movement=("full",))}
-        )
+    rows += _rows({"HIGL": runs.higl("table2-higl", "u", ("u",))})
     return page.Section(
         title="Zero-shot robots (Table 2)",
         text="Trained in the U-shaped maze as an ant, then unchanged as other robots. Who sees "

@@ -43,7 +43,7 @@ def planned(options: RunT, train: Callable[[RunT], object]) -> Callable[[], None
     """Returns what does as `finish` does.
 
     Raises:
-      base.UserError: it has been done with other options.
+      base.UserError: it has been done with other options, or is damaged.
     """
     is_finished(options)
     return functools.partial(finish, options, train)

@@ -95,7 +95,7 @@ def _planned(config: CompareConfig, run: Run) -> Callable[[], object]:
     """Returns what makes a run, unless it is there.
 
     Raises:
-      base.UserError: it is there with other options.
+      base.UserError: it has been trained with other options.
     """
     if run.method == "ours":
         return _runs.planned(high_options(config, run), _train_ours)

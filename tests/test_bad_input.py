@@ -70,9 +70,8 @@ MISTAKES = [
     ("reproduce_higl --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
 ]
 
-WHERE = {"train_low": "--run", "train_high": "--run", "train_baseline": "--run"}
-WHERE |= {"reproduce_higl": "--run"}
-"""The option that names the folder, where it isn't --out."""
+TRAINERS = ("train_low", "train_high", "train_baseline", "reproduce_higl")
+"""What names its folder by --run instead of --out."""
 
 MAZES = {
     "closed": "#####\n#S#1#\n#####\n",
@@ -106,7 +105,7 @@ def snapshot(folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
 @pytest.mark.parametrize(("line", "words"), MISTAKES, ids=[line for line, _ in MISTAKES])
 def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
     module, *arguments = line.format(tmp=place).split()
-    where = WHERE.get(module, "--out")
+    where = "--run" if module in TRAINERS else "--out"
     if where not in arguments:
         arguments += [where, RUN.format(tmp=place)]
     before = snapshot(place)
