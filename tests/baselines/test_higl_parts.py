@@ -111,7 +111,7 @@ def after_a_round(engine, costs_time):
         capacity=20,
         high_capacity=4,
     )
-    higl = system.Higl(env, 8, (12, 9), options)
+    higl = system.Higl(env, engine().model.nu, (12, 9), options)
     return jax.jit(lambda key: higl.advance(higl.init(key))[0])(jax.random.key(0))
 
 
@@ -127,6 +127,19 @@ def test_the_manager_is_paid_per_control_step_as_released(costs_time):
 def test_the_controller_does_not_learn_to_break_down(engine, counts):
     steps = replay.sample(after_a_round(engine, True).memory, (100,), jax.random.key(0))
     assert (steps.is_running == counts).all()
+
+
+def test_a_subgoal_stays_one_place_while_the_robot_walks_towards_it():
+    memory = after_a_round(sled.Disc, True).memory
+    rows = replay.sample(memory, (400,), jax.random.key(0))
+    xy = rows.obs[:, :2]
+    # Two robots had two subgoals each, and walked.
+    assert num_distinct(xy[:, 0] + rows.subgoal[:, 0]) == 4
+    assert num_distinct(xy[:, 0]) > 10
+
+
+def num_distinct(numbers):
+    return 1 + int((jnp.diff(jnp.sort(numbers)) > 1e-3).sum())
 
 
 def subgoal_row(subgoal):
