@@ -2,6 +2,9 @@
 
 Shapes are checked by beartype (see `addopts` in pyproject.toml) and warnings are errors. A program
 that several tests compile is compiled once.
+
+What is trained here differs by processor, for rounding does: `XLA_FLAGS=--xla_cpu_max_isa=SSE4_2`
+before `make test` shows whether a test hangs on that.
 """
 
 import os
