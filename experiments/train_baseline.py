@@ -1,15 +1,6 @@
 """Trains a baseline: `python -m experiments.train_baseline --method higl --run runs/higl`."""
 
-from eihrl_jax import presets
-from eihrl_jax.config import baselines as baselines_config
-from eihrl_jax.training import baselines
-from experiments import _cli
-
-
-def main() -> None:
-    """Parses the options and trains."""
-    _cli.run(baselines.train, baselines_config.BaselineConfig, presets.BASELINES, option="method")
-
+from eihrl_jax.cli import commands
 
 if __name__ == "__main__":
-    main()
+    commands.run("train_baseline")

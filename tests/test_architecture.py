@@ -13,23 +13,33 @@ PACKAGE = "eihrl_jax"
 
 LAYERS = (
     {"base"},
-    {"config", "presets"},
+    {"config"},
     {"ops"},
     {"mazes"},
     {"robots"},
     {"physics"},
-    {"raster"},
-    {"postures"},
-    {"checkpoint", "envs", "networks", "replay", "theory"},
+    {"envs", "networks", "runs", "theory"},
     {"agents", "baselines"},
-    {"policies"},
-    {"training"},
-    {"evaluation"},
+    {"evaluation", "training"},
+    {"drawing"},
+    {"reporting"},
+    {"benchmarks", "studies"},
+    {"cli"},
     {"experiments"},
 )
 """From the bottom up: a module imports its own part and those below."""
 
-APART = [("envs", "agents"), ("envs", "networks"), ("envs", "replay"), ("networks", "replay")]
+APART = [
+    ("benchmarks", "studies"),
+    ("envs", "agents"),
+    ("envs", "networks"),
+    ("envs", "runs"),
+    ("envs", "theory"),
+    ("evaluation", "training"),
+    ("networks", "runs"),
+    ("networks", "theory"),
+    ("runs", "theory"),
+]
 """Parts that never import each other; `envs` and `agents` meet in `base`."""
 
 ONLY_IN = {
@@ -37,13 +47,16 @@ ONLY_IN = {
     "mujoco": (
         "eihrl_jax/physics/",
         "eihrl_jax/robots/",
-        "eihrl_jax/postures.py",
-        "experiments/_bench_physics.py",
+        "eihrl_jax/envs/postures.py",
+        "eihrl_jax/benchmarks/physics.py",
     ),
-    "orbax": ("eihrl_jax/checkpoint.py",),
-    "tensorboardX": ("eihrl_jax/training/run_folder.py",),
-    "gymnasium": ("eihrl_jax/envs/", "experiments/_bench_low.py"),
-    "tyro": ("experiments/_cli.py",),
+    "orbax": ("eihrl_jax/runs/checkpoint.py",),
+    "tensorboardX": ("eihrl_jax/runs/",),
+    "brax": (),
+    "gymnasium": ("eihrl_jax/envs/gymnasium_maze.py", "eihrl_jax/benchmarks/low.py"),
+    "matplotlib": ("eihrl_jax/drawing/", "eihrl_jax/reporting/"),
+    "PIL": ("eihrl_jax/drawing/", "eihrl_jax/reporting/"),
+    "tyro": ("eihrl_jax/cli/",),
 }
 """Where a package that moves may be imported."""
 

@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
-from eihrl_jax import policies
+from eihrl_jax.cli import shell
+from eihrl_jax.runs import policies
 from eihrl_jax.training import parallel
-from experiments import _cli
 
 RUN = "{tmp}/new"
 
@@ -109,7 +109,7 @@ def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
     if where not in arguments:
         arguments += [where, RUN.format(tmp=place)]
     before = snapshot(place)
-    monkeypatch.setattr(_cli, "_set_compilation_cache", lambda: None)
+    monkeypatch.setattr(shell, "_set_compilation_cache", lambda: None)
     monkeypatch.setattr(parallel, "use_cpu_cores", lambda: None)
     monkeypatch.setattr(sys, "argv", [module, *arguments])
     monkeypatch.delitem(sys.modules, f"experiments.{module}", raising=False)

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
-from eihrl_jax import base, replay
-from eihrl_jax.agents import droq
+from eihrl_jax import base
+from eihrl_jax.agents import droq, replay
 from eihrl_jax.baselines import periods
 from eihrl_jax.config import baselines as config_lib
 

@@ -22,9 +22,9 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from eihrl_jax import base, raster
+from eihrl_jax import base
 from eihrl_jax.config import checks
-from eihrl_jax.envs import task
+from eihrl_jax.envs import raster, task
 from eihrl_jax.mazes import maze as maze_lib
 
 _ABOVE_MINUS_ONE = -1.0 + 2.0**-24

@@ -1,7 +1,7 @@
 """A robot that really walks in a maze: the same task and picture as `oracle_maze`, with physics.
 
 A decision is `begin`, k times `control`, and `end`. What chooses the controls in between is the low
-level, which `agents.hierarchy` puts in.
+level, which `envs.hierarchy` puts in.
 
 Observation: bool [P, P, 3], a top view centred on the torso, north up, see `raster`; the silhouette
 is that of the robot's real posture. Or a map of what has been seen.
@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from eihrl_jax import base, raster
-from eihrl_jax.envs import locomotion, low_obs, task
+from eihrl_jax import base
+from eihrl_jax.envs import locomotion, low_obs, raster, task
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import kinematics

@@ -16,7 +16,8 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt8, UInt32
 
-from eihrl_jax import base, raster
+from eihrl_jax import base
+from eihrl_jax.envs import raster
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import paths
 

@@ -9,11 +9,12 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
-from eihrl_jax import base, checkpoint, config, mazes, policies, presets
-from eihrl_jax.agents import hierarchy
-from eihrl_jax.baselines import system as system_lib
-from eihrl_jax.envs import goal_maze, locomotion, task
+from eihrl_jax import base, mazes
+from eihrl_jax.baselines import interface as system_lib
+from eihrl_jax.config import codec, presets
+from eihrl_jax.envs import goal_maze, hierarchy, locomotion, task
 from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.runs import checkpoint, policies
 
 
 class BaselineWalk(struct.PyTreeNode):
@@ -108,7 +109,7 @@ def load(
     if method not in presets.BASELINES:
         raise base.UserError(f"{path}: unknown method {method!r}")
     text = json.dumps(policies.entry(meta, "config", path), default=str)
-    options = config.from_json(type(presets.BASELINES[method]), text, source=str(path))
+    options = codec.from_json(type(presets.BASELINES[method]), text, source=str(path))
     env = goal_maze.GoalMaze(engine, stacked, reward=reward)
     width, height = policies.entry(meta, "side_xy", path)
     steps = int(env.course.mazes.num_decisions.max())

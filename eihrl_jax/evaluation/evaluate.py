@@ -1,17 +1,16 @@
-"""Evaluates systems in mazes: loads them, runs the episodes, has everything written."""
+"""Evaluates systems in mazes: loads them and runs the episodes; `reporting` writes and draws."""
 
 import dataclasses
-import json
 import pathlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
-from eihrl_jax import base, config, mazes, raster, robots
+from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.evaluation import baselines, report, results, rollouts, systems
+from eihrl_jax.envs import raster, subgoals
+from eihrl_jax.evaluation import baselines, results, rollouts, systems
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
-from eihrl_jax.training import progress as progress_lib
-from eihrl_jax.training import subgoals, versions
+from eihrl_jax.runs import progress as progress_lib
 
 NUM_RECORDED = 12
 """Episodes per maze among which a typical one is found for the animation."""
@@ -27,25 +26,50 @@ class _Prepared:
     high_policy: rollouts.HighPolicy
 
 
-def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
-    """Runs an evaluation and fills its folder, see `report`.
+@dataclasses.dataclass(frozen=True)
+class Evaluated:
+    """All episodes of one system.
+
+    Attributes:
+      system: what was evaluated.
+      robot: its robot.
+      mazes: by name.
+      rollouts: its episodes by maze.
+      seconds: that they took, compiling left out.
+      is_last: whether no other system follows.
+    """
+
+    system: results.System
+    robot: robot_lib.Robot
+    mazes: dict[str, mazes.Maze]
+    rollouts: dict[str, rollouts.Rollout]
+    seconds: float
+    is_last: bool
+
+    def cells(self) -> list[results.Cell]:
+        """Summarises the episodes maze by maze."""
+        return [
+            results.summarise(
+                name,
+                self.system,
+                rollout.episodes,
+                num_goals=int(self.mazes[name].num_goals),
+                num_decisions=int(self.mazes[name].num_decisions),
+            )
+            for name, rollout in self.rollouts.items()
+        ]
+
+
+def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
+    """Runs all episodes, system by system; everything is loaded before the first one runs.
 
     Args:
       options: what is to be evaluated.
 
-    Returns:
-      What `eval.json` holds; `tables` turns its cells into tables.
-
     Raises:
-      base.UserError: the folder isn't free; a maze, robot or policy is unknown or doesn't fit; two
-        systems would have the same name in the files.
+      base.UserError: a maze, robot or policy is unknown or doesn't fit; two systems would have the
+        same name in the files.
     """
-    with report.reserved(options.out):
-        return _evaluate(options)
-
-
-def _evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
-    """Does what `evaluate` does, in a folder that is there."""
     chosen = _load_mazes(options)
     plan = rollouts.Plan(
         mazes=chosen,
@@ -54,29 +78,19 @@ def _evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
         num_recorded=0 if options.animate == "none" else NUM_RECORDED,
     )
     prepared = _prepare(options, plan)
-    cells: list[results.Cell] = []
-    seconds: dict[str, float] = {}
+
     for item in prepared:
         title = f"{item.system.robot}, {item.system.movement} movement, {item.system.high}"
         with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
-            found, taken = item.runner.run(item.high_policy, progress)
-        cells += _summarise(item.system, found, chosen)
-        seconds[report.file_name(item.system)] = round(taken, 2)
-        report.write_episodes(options.out, item.system, found, chosen)
-        if options.heatmaps:
-            report.draw_heatmaps(options.out, item.system, found, chosen)
-        if options.animate == "all" or (options.animate == "one" and item is prepared[-1]):
-            names = list(chosen) if options.animate == "all" else list(chosen)[:1]
-            for name in names:
-                report.animate(options.out, item.system, item.robot, found[name], name)
-    about = {
-        "config": json.loads(config.to_json(options)),
-        "versions": versions.describe(),
-        "seconds": seconds,
-    }
-    evaluation = results.Evaluation(about=about, cells=tuple(cells))
-    report.write_results(options.out, evaluation)
-    return evaluation
+            found, seconds = item.runner.run(item.high_policy, progress)
+        yield Evaluated(
+            system=item.system,
+            robot=item.robot,
+            mazes=chosen,
+            rollouts=found,
+            seconds=seconds,
+            is_last=item is prepared[-1],
+        )
 
 
 def _load_mazes(options: evaluate_config.EvaluateConfig) -> dict[str, mazes.Maze]:
@@ -142,7 +156,7 @@ def _check_names(all_systems: Sequence[results.System]) -> None:
     """Makes sure that no system's files take the place of another's."""
     names: set[str] = set()
     for system in all_systems:
-        name = report.file_name(system)
+        name = system.file_name
         if name in names:
             raise base.UserError(
                 f"high: files of two systems would have the same name, {name}, of {system.high!r} "
@@ -168,21 +182,3 @@ def _envs(
     low_policy = systems.load_low(low, robot)
     engine = engine_lib.make(robot, options.engine)
     return [systems.full(engine, stacked, view, low_policy, reward=reward) for view in views]
-
-
-def _summarise(
-    system: results.System,
-    found: dict[str, rollouts.Rollout],
-    chosen: dict[str, mazes.Maze],
-) -> list[results.Cell]:
-    """Summarises one system's episodes maze by maze."""
-    return [
-        results.summarise(
-            name,
-            system,
-            rollout.episodes,
-            num_goals=int(chosen[name].num_goals),
-            num_decisions=int(chosen[name].num_decisions),
-        )
-        for name, rollout in found.items()
-    ]

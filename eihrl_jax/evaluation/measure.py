@@ -1,6 +1,6 @@
 """Measures a low level: random subgoals on open floor and in random rooms, step by step."""
 
-import json
+import dataclasses
 import math
 from typing import Any
 
@@ -11,18 +11,16 @@ import scipy.special
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from eihrl_jax import base, postures, robots
-from eihrl_jax.agents import hierarchy
+from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
 from eihrl_jax.config import measure as measure_config
-from eihrl_jax.envs import locomotion, rooms, wrappers
-from eihrl_jax.evaluation import report, scatter, systems
+from eihrl_jax.envs import hierarchy, locomotion, postures, rooms, subgoals, wrappers
+from eihrl_jax.evaluation import systems
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
-from eihrl_jax.training import progress as progress_lib
-from eihrl_jax.training import subgoals, versions
+from eihrl_jax.runs import progress as progress_lib
 
 SUBGOALS_PER_EPISODE = 20
 NUM_ROOMS = 256
@@ -72,30 +70,41 @@ class Steps(struct.PyTreeNode):
     qpos: Float[Array, "T N nq"]
 
 
-def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statistics]:
-    """Measures a low level and fills its folder.
+@dataclasses.dataclass(frozen=True)
+class Measurement:
+    """What was measured of one low level.
+
+    Attributes:
+      robot: whose it is.
+      statistics: by surrounding.
+      steps: on open floor, on the host.
+    """
+
+    robot: robot_lib.Robot
+    statistics: dict[str, subgoals.Statistics]
+    steps: Steps
+
+    def postures(self, num: int) -> postures.PostureBank:
+        """Returns postures of the upright robot, see `upright_postures`."""
+        return postures.PostureBank(qpos=upright_postures(self.steps, self.robot, num))
+
+
+def run(options: measure_config.MeasureConfig) -> Measurement:
+    """Measures a low level on open floor and in random rooms.
 
     Args:
       options: whose, and how long.
 
-    Returns:
-      The statistics by surrounding.
-
     Raises:
-      base.UserError: the folder isn't free; robot or policy is unknown or doesn't fit.
+      base.UserError: robot or policy is unknown or doesn't fit.
     """
-    with report.reserved(options.out):
-        return _measure(options)
-
-
-def _measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statistics]:
-    """Does what `measure` does, in a folder that is there."""
     robot = robots.load(options.robot)
     policy = systems.load_low(options.low or options.robot, robot)
     engine = engine_lib.make(robot, options.engine)
     walled = rooms.random_rooms(NUM_ROOMS, _ROOM_SEED + options.seed)
     floors = {subgoals.OPEN: rooms.open_floor(), subgoals.ROOMS: walled}
-    found: dict[str, subgoals.Statistics] = {}
+
+    measured: dict[str, Steps] = {}
     with progress_lib.Progress(f"{robot.name}, subgoals", len(floors), unit="surroundings") as bar:
         for index, (name, floor) in enumerate(floors.items()):
             env = locomotion.Locomotion(
@@ -105,20 +114,11 @@ def _measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statis
                 episode_steps=SUBGOALS_PER_EPISODE * robot.steps_per_subgoal,
                 ends_at_fall=False,
             )
-            steps = jax.device_get(_walk(env, policy, options, index))
-            found[name] = summarise(steps, robot, options.sigma)
-            if name == subgoals.OPEN:
-                first = steps
+            measured[name] = jax.device_get(_walk(env, policy, options, index))
             bar.update(index + 1, {})
-    document = {name: vars(statistics) for name, statistics in found.items()}
-    about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
-    text = json.dumps(document | about | {"versions": versions.describe()}, indent=2)
-    (options.out / subgoals.FILE).write_text(text + "\n")
-    title = f"{robot.name}, {subgoals.OPEN}"
-    scatter.save(options.out / "subgoals.png", end_points(first), title, options.sigma)
-    bank = postures.PostureBank(qpos=_postures(first, robot, options.num_postures))
-    postures.save(bank, options.out / subgoals.POSTURES, robot)
-    return found
+
+    statistics = {name: summarise(steps, robot, options.sigma) for name, steps in measured.items()}
+    return Measurement(robot, statistics, measured[subgoals.OPEN])
 
 
 def _walk(
@@ -273,7 +273,7 @@ def _counts(steps: Steps) -> Bool[np.ndarray, "T N"]:
     )
 
 
-def _postures(steps: Steps, robot: robot_lib.Robot, num: int) -> Float[Array, "num nq"]:
+def upright_postures(steps: Steps, robot: robot_lib.Robot, num: int) -> Float[Array, "num nq"]:
     """Picks postures spread evenly over robots and time, the first subgoal left out, x = y = 0."""
     qpos = np.asarray(steps.qpos)[robot.steps_per_subgoal :]
     upright = qpos[~np.asarray(steps.was_down)[robot.steps_per_subgoal :]]

@@ -7,12 +7,14 @@ null.
 import collections
 import dataclasses
 import pathlib
+import re
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from eihrl_jax import base, config
+from eihrl_jax import base
+from eihrl_jax.config import codec
 from eihrl_jax.evaluation import statistics
 
 FORMAT = 1
@@ -36,6 +38,12 @@ class System:
     movement: str
     high: str
     low: str | None
+
+    @property
+    def file_name(self) -> str:
+        """What files call it."""
+        words = (self.robot, self.movement, pathlib.PurePath(self.high).name)
+        return re.sub(r"[^\w.-]+", "_", "-".join(words))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +166,7 @@ def summarise(
 
 def save(path: pathlib.Path, evaluation: Evaluation) -> None:
     """Writes `eval.json`."""
-    path.write_text(config.to_json(evaluation))
+    path.write_text(codec.to_json(evaluation))
 
 
 def load(path: pathlib.Path) -> Evaluation:
@@ -172,7 +180,7 @@ def load(path: pathlib.Path) -> Evaluation:
     except (OSError, UnicodeDecodeError) as error:
         raise base.UserError(f"{path} can't be read: {error}") from None
     try:
-        evaluation = config.from_json(Evaluation, text)
+        evaluation = codec.from_json(Evaluation, text)
     except base.UserError as error:
         raise base.UserError(f"{path} is no eval.json: {error}") from None
     if evaluation.format != FORMAT:

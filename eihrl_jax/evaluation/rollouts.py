@@ -18,13 +18,16 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 
 from eihrl_jax import base, mazes
-from eihrl_jax.agents import hierarchy
-from eihrl_jax.envs import task
-from eihrl_jax.evaluation import animation, heatmap, results
-from eihrl_jax.training import progress as progress_lib
+from eihrl_jax.envs import hierarchy, task
+from eihrl_jax.evaluation import recording as recording_lib
+from eihrl_jax.evaluation import results
+from eihrl_jax.runs import progress as progress_lib
 
 MAX_ROWS = 1024
 """Most episodes that run at once."""
+
+BINS_PER_CELL = 6
+"""Bins along a cell's side, in which visits are counted."""
 
 HighPolicy = Callable[[Any, Key[Array, ""]], Int[Array, ""]]
 """From the patch and a key to a direction; a pytree (`jax.tree_util.Partial`) of its parameters."""
@@ -32,7 +35,7 @@ HighPolicy = Callable[[Any, Key[Array, ""]], Int[Array, ""]]
 
 @runtime_checkable
 class Traced(Protocol):
-    """An environment of decisions that also tells the way, see `agents.hierarchy.Hierarchy`."""
+    """An environment of decisions that also tells the way, see `envs.hierarchy.Hierarchy`."""
 
     @property
     def course(self) -> task.Course:
@@ -70,13 +73,13 @@ class Rollout:
 
     Attributes:
       episodes: their numbers.
-      share: see `heatmap.Visits`.
+      share: see `drawing.heatmap.Visits`.
       recordings: the first episodes of the first seed, to be drawn.
     """
 
     episodes: results.Episodes
     share: Float[np.ndarray, "rows columns"]
-    recordings: list[animation.Recording]
+    recordings: list[recording_lib.Recording]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -114,7 +117,7 @@ class _Batch:
 
     rows: Int[np.ndarray, "E 3"]
     columns: dict[str, np.ndarray]
-    recordings: dict[int, animation.Recording]
+    recordings: dict[int, recording_lib.Recording]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -308,7 +311,7 @@ def _streams(
 def _bins(env: Traced) -> tuple[int, int]:
     """Returns the number of bins along and across the mazes."""
     _, rows, columns = env.course.mazes.wall.shape
-    return rows * heatmap.BINS_PER_CELL, columns * heatmap.BINS_PER_CELL
+    return rows * BINS_PER_CELL, columns * BINS_PER_CELL
 
 
 def _mark(was_there: Bool[np.ndarray, "E rows columns"], trace: hierarchy.Trace) -> None:
@@ -317,7 +320,7 @@ def _mark(was_there: Bool[np.ndarray, "E rows columns"], trace: hierarchy.Trace)
     is_running = np.asarray(trace.is_running)[:num]
     xy = np.asarray(trace.qpos)[:num, :, :2][is_running]
     episode = np.nonzero(is_running)[0]
-    side = base.CELL / heatmap.BINS_PER_CELL
+    side = base.CELL / BINS_PER_CELL
     i, j = np.floor(-xy[:, 1] / side).astype(int), np.floor(xy[:, 0] / side).astype(int)
     is_inside = (i >= 0) & (i < num_rows) & (j >= 0) & (j < num_columns)
     was_there[episode[is_inside], i[is_inside], j[is_inside]] = True
@@ -338,7 +341,7 @@ def _columns(states: base.EnvState, num: int) -> dict[str, np.ndarray]:
 
 def _recording(
     env: Traced, plan: Plan, states: base.EnvState, history: list[Step], row: int, i: int
-) -> animation.Recording:
+) -> recording_lib.Recording:
     """Puts together the recording of one episode: `row` of the batch, `i` of those recorded."""
     nav = jax.tree.map(lambda leaf: leaf[row], states.inner.nav)
     name = list(plan.mazes)[int(nav.maze)]
@@ -355,7 +358,7 @@ def _recording(
     is_running = np.concatenate([step.trace.is_running for step in steps])
     decision = np.repeat(np.arange(num_decisions), len(steps[0].trace.is_running))
     is_ours = steps[0].obs is not None
-    return animation.Recording(
+    return recording_lib.Recording(
         maze=maze,
         qpos=np.concatenate([step.trace.qpos for step in steps])[is_running],
         decision=decision[is_running],
@@ -376,7 +379,7 @@ def _rollout(
         for name in batches[0].columns
     }
     num_rows, num_columns = list(plan.mazes.values())[maze].wall.shape
-    count = visits[: num_rows * heatmap.BINS_PER_CELL, : num_columns * heatmap.BINS_PER_CELL]
+    count = visits[: num_rows * BINS_PER_CELL, : num_columns * BINS_PER_CELL]
     return Rollout(
         episodes=results.Episodes(**columns, seed=rows[is_here, 0]),
         share=count / is_here.sum(),

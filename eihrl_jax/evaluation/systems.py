@@ -9,17 +9,27 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float, Int, Key
 
-from eihrl_jax import base, checkpoint, config, mazes, policies, postures, raster
-from eihrl_jax.agents import hierarchy, peg_a2c
+from eihrl_jax import base, mazes
+from eihrl_jax.agents import peg_a2c
+from eihrl_jax.config import codec
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import low_obs, oracle_maze, physics_maze, task
+from eihrl_jax.envs import (
+    hierarchy,
+    low_obs,
+    oracle_maze,
+    physics_maze,
+    postures,
+    raster,
+    subgoals,
+    task,
+)
 from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import actor_critic, droq
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
-from eihrl_jax.training import subgoals
+from eihrl_jax.runs import checkpoint, policies
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +103,7 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
     params, meta = policies.load(path, kind="high")
     view = raster.View(**policies.entry(meta, "view", path))
     sizes = json.dumps(policies.entry(meta, "network", path))
-    network = actor_critic.make(config.from_json(high_config.Network, sizes, source=str(path)))
+    network = actor_critic.make(codec.from_json(high_config.Network, sizes, source=str(path)))
     obs = jnp.zeros(view.obs_shape, bool)
     checkpoint.check_same(path, params, jax.eval_shape(network.init, jax.random.key(0), obs))
     policy = jax.tree_util.Partial(_Learned(network, greedy), params)

@@ -12,8 +12,8 @@ import rich.measure
 import rich.table
 
 from eihrl_jax.config.evaluate import RANDOM
+from eihrl_jax.envs import subgoals
 from eihrl_jax.evaluation import paper, results, statistics
-from eihrl_jax.training import subgoals
 
 TABLE1_MAZES = {"random": "Maze-ori", "g1": "Maze-g1", "g2": "Maze-g2", "g3": "Maze-g3"}
 """Our names of the mazes of the paper's Table 1, and the paper's."""

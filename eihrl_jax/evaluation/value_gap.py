@@ -6,19 +6,18 @@ about. Episodes have the same random numbers under every noise level, so gaps ar
 """
 
 import dataclasses
-import json
 
-import matplotlib.ticker
 import numpy as np
 from jaxtyping import Float
 
-from eihrl_jax import base, mazes, policies, postures, robots
+from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import value_gap as gap_config
-from eihrl_jax.evaluation import curves, palette, report, rollouts, systems
+from eihrl_jax.envs import postures, subgoals
+from eihrl_jax.evaluation import rollouts, systems
 from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.runs import policies
+from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.theory import bounds, displacement
-from eihrl_jax.training import progress as progress_lib
-from eihrl_jax.training import subgoals, versions
 
 ORACLE_ROBOT = "ant"
 """Robot whose body and postures the oracle moves."""
@@ -56,7 +55,7 @@ class Gap:
 
 
 def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
-    """Measures all gaps, and fills the folder.
+    """Measures all gaps.
 
     Args:
       options: what is compared.
@@ -65,14 +64,8 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
       The gaps, oracle movement first.
 
     Raises:
-      base.UserError: the folder isn't free; a maze has several goals; a policy or maze is unknown.
+      base.UserError: a maze has several goals; a policy or maze is unknown.
     """
-    with report.reserved(options.out):
-        return _compare(options)
-
-
-def _compare(options: gap_config.ValueGapConfig) -> list[Gap]:
-    """Does what `compare` does, in a folder that is there."""
     chosen = {name: mazes.load(name) for name in options.mazes}
     for name, maze in chosen.items():
         if int(maze.num_goals) != 1:
@@ -98,7 +91,6 @@ def _compare(options: gap_config.ValueGapConfig) -> list[Gap]:
         found = _values(options, env, high, chosen, options.walking_episodes, title)
         delta = displacement.total_variation(law, reference)
         gaps += _gaps(options, chosen, name, None, baseline, found, delta)
-    _write(options, chosen, gaps)
     return gaps
 
 
@@ -188,61 +180,3 @@ def _gaps(
             )
         )
     return gaps
-
-
-def _write(
-    options: gap_config.ValueGapConfig, chosen: dict[str, mazes.Maze], gaps: list[Gap]
-) -> None:
-    """Writes numbers, table and picture."""
-    about = {"reference": options.reference, "gamma": options.gamma}
-    document = about | {"gaps": [vars(gap) for gap in gaps], "versions": versions.describe()}
-    (options.out / "gap.json").write_text(json.dumps(document, indent=2) + "\n")
-    (options.out / "gap.md").write_text(markdown(gaps))
-    oracle = [gap for gap in gaps if gap.sigma is not None]
-    axes = curves.new_axes("standard deviation per axis, units", "lost success, percentage points")
-    axes.xaxis.set_major_formatter(matplotlib.ticker.ScalarFormatter())
-    for i, maze in enumerate(chosen):
-        here = sorted((g for g in oracle if g.maze == maze), key=lambda gap: gap.sigma or 0.0)
-        axes.errorbar(
-            [gap.sigma or 0.0 for gap in here],
-            [100.0 * gap.success_gap for gap in here],
-            yerr=[100.0 * gap.success_margin for gap in here],
-            color=palette.CURVE[i % len(palette.CURVE)],
-            marker="o",
-            capsize=3.0,
-            label=f"measured, {maze}",
-        )
-    limit = max(int(maze.num_decisions) for maze in chosen.values())
-    sigmas = np.linspace(0.01, max(1.0, 2 * options.reference), 991)
-    rate = bounds.gaussian_scale_total_variation(sigmas, options.reference)
-    bound = 100.0 * displacement.success_gap_bound(rate, limit)
-    axes.plot(sigmas, bound, color=palette.INK, label=f"bound, {limit} decisions")
-    axes.legend(frameon=False, labelcolor=palette.INK, loc="center right")
-    curves.write(axes, options.out / "gap.png")
-
-
-def markdown(gaps: list[Gap]) -> str:
-    """Returns the gaps as a Markdown table, in percentage points, with 95 % intervals.
-
-    A bound that allows everything is called vacuous.
-    """
-    header = ["maze", "movement", "success %", "lost success", "bound", "lost value", "bound"]
-    lines = [header, ["---"] * len(header)]
-    for gap in gaps:
-        how = "walking" if gap.sigma is None else f"sigma {gap.sigma:g}"
-        lines.append(
-            [
-                gap.maze,
-                f"{gap.movement}, {how}",
-                f"{100.0 * gap.success:.1f}",
-                f"{100.0 * gap.success_gap:.1f} ± {100.0 * gap.success_margin:.1f}",
-                _percent(gap.success_bound),
-                f"{100.0 * gap.value_gap:.1f} ± {100.0 * gap.value_margin:.1f}",
-                _percent(gap.value_bound),
-            ]
-        )
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
-
-
-def _percent(bound: float) -> str:
-    return "vacuous" if bound > 0.99 else f"{100.0 * bound:.1f}"

@@ -5,7 +5,8 @@ import json
 import pathlib
 import tomllib
 
-from eihrl_jax import base, config
+from eihrl_jax import base
+from eihrl_jax.config import codec
 from eihrl_jax.robots import robot as robot_lib
 
 SUFFIX = ".toml"
@@ -29,7 +30,7 @@ def read(path: pathlib.Path) -> robot_lib.Robot:
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise base.UserError(f"robot {str(path)!r} is no TOML: {error}") from None
     try:
-        described = config.from_json(robot_lib.Robot, json.dumps(values), source="description")
+        described = codec.from_json(robot_lib.Robot, json.dumps(values), source="description")
     except (base.UserError, TypeError) as error:  # JSON has no dates
         raise base.UserError(f"robot {str(path)!r}: {error}") from None
     return dataclasses.replace(described, mjcf=path.parent / described.mjcf)

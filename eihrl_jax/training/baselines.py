@@ -10,16 +10,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from eihrl_jax import base, checkpoint, mazes, policies, robots
-from eihrl_jax.baselines import system as system_lib
+from eihrl_jax import base, mazes, robots
+from eihrl_jax.baselines import interface as system_lib
 from eihrl_jax.config import baselines as config_lib
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.envs import goal_maze, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.runs import checkpoint, policies, run_folder, versions
+from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import metrics as metrics_lib
-from eihrl_jax.training import progress as progress_lib
-from eihrl_jax.training import run_folder, versions
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,16 +7,17 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from eihrl_jax import base, mazes, policies, postures, raster, robots
+from eihrl_jax import base, mazes, robots
 from eihrl_jax.agents import peg_a2c
 from eihrl_jax.config import checks
 from eihrl_jax.config import high as high_config
-from eihrl_jax.envs import oracle_maze, wrappers
+from eihrl_jax.envs import oracle_maze, postures, raster, subgoals, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.networks import actor_critic
+from eihrl_jax.runs import folders, policies, run_folder, versions
+from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import metrics as metrics_lib
-from eihrl_jax.training import parallel, run_folder, subgoals, versions
-from eihrl_jax.training import progress as progress_lib
+from eihrl_jax.training import parallel
 
 MAY_CHANGE = ("num_devices", "coordinator", "num_processes", "process_id")
 """Options that may differ between the processes of a run, and when it goes on."""
@@ -42,7 +43,7 @@ def train(config: high_config.HighConfig, walking: base.Environment | None = Non
     Raises:
       base.UserError: an option or the run folder is not as it should be.
     """
-    run_folder.check_free(config.run, resume=config.resume)  # before anything slow
+    folders.check_free(config.run, resume=config.resume)  # before anything slow
     parallel.connect(config.coordinator, config.num_processes, config.process_id)
     env = make_env(config.task, config.seed)
     agent = make_agent(env, config)

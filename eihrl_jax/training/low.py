@@ -10,13 +10,13 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from eihrl_jax import base, checkpoint, policies, postures, replay, robots
-from eihrl_jax.agents import droq
+from eihrl_jax import base, robots
+from eihrl_jax.agents import droq, replay
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import locomotion, low_obs, rooms, wrappers
+from eihrl_jax.envs import locomotion, low_obs, postures, rooms, subgoals, wrappers
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.training import progress as progress_lib
-from eihrl_jax.training import run_folder, subgoals, versions
+from eihrl_jax.runs import checkpoint, policies, run_folder, versions
+from eihrl_jax.runs import progress as progress_lib
 
 
 class LowState(struct.PyTreeNode):

@@ -8,12 +8,14 @@ import jax
 import numpy as np
 import pytest
 
-from eihrl_jax import base, checkpoint, policies, presets
+from eihrl_jax import base
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.config import higl as higl_config
 from eihrl_jax.config import low as low_config
-from eihrl_jax.evaluation import evaluate
+from eihrl_jax.config import presets
+from eihrl_jax.reporting import evaluations
+from eihrl_jax.runs import checkpoint, policies
 from eihrl_jax.training import baselines
 
 MAZE = "####\n#1S#\n####\n"
@@ -161,7 +163,7 @@ def test_a_baseline_is_evaluated_beside_ours(finished, maze, tmp_path):
         out=tmp_path / "evaluation",
         num_decisions=2,
     )
-    cells = evaluate.evaluate(options).cells
+    cells = evaluations.evaluate(options).cells
     found = [(cell.system.movement, cell.system.high) for cell in cells]
     peer = ("full", str(finished.run))
     assert found.count(peer) == 1 and len(found) == 3
@@ -200,8 +202,8 @@ def test_a_baseline_needs_its_robot_and_walking(finished, maze, tmp_path):
         mazes=(maze,), high=(str(finished.run),), episodes=1, out=tmp_path / "new"
     )
     with pytest.raises(base.UserError, match="is a policy of robot 'point', expected 'ant'"):
-        evaluate.evaluate(options)
+        evaluations.evaluate(options)
     with pytest.raises(base.UserError, match="is a baseline, which walks"):
-        evaluate.evaluate(dataclasses.replace(options, movement=("oracle",)))
+        evaluations.evaluate(dataclasses.replace(options, movement=("oracle",)))
     with pytest.raises(base.UserError, match="is a baseline, expected a low-level policy"):
         policies.load(policies.find(finished.run, "low"), kind="low")

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import base, mazes, replay
-from eihrl_jax.baselines.hess import exploration, learning, levels, memory, representation, system
+from eihrl_jax import base, mazes
+from eihrl_jax.agents import replay
+from eihrl_jax.baselines.hess import episodes, exploration, hess, learning, levels, representation
 from eihrl_jax.config import hess as config
 from eihrl_jax.envs import goal_maze
 from tests.envs import sled
@@ -65,7 +66,7 @@ def test_a_controller_of_which_no_rate_is_left_learns_nothing():
 
 def stored_episodes():
     """Two places for episodes of up to six steps in periods of three; one is stored, five long."""
-    batch = memory.Episodes(
+    batch = episodes.Episodes(
         obs=jnp.arange(7.0)[None, :, None],
         place=jnp.stack([jnp.arange(7.0), -jnp.arange(7.0)], -1)[None],
         action=10.0 * jnp.arange(6.0)[None, :, None],
@@ -73,11 +74,11 @@ def stored_episodes():
         length=jnp.array([5]),
         position=jnp.int32(0),
     )
-    return memory.add(memory.init(2, 3, 2, (1, 1)), batch)
+    return episodes.add(episodes.init(2, 3, 2, (1, 1)), batch)
 
 
 def test_drawn_steps_are_those_that_were_stored():
-    steps = memory.sample(stored_episodes(), (300,), jax.random.key(0))
+    steps = episodes.sample(stored_episodes(), (300,), jax.random.key(0))
     t = np.asarray(steps.obs[:, 0])
     assert set(t.tolist()) == {0.0, 1.0, 2.0, 3.0, 4.0}
     np.testing.assert_array_equal(steps.next_obs[:, 0], t + 1)
@@ -87,7 +88,7 @@ def test_drawn_steps_are_those_that_were_stored():
 
 
 def test_ends_are_those_of_periods_that_there_were():
-    obs, is_there = memory.period_ends(stored_episodes())
+    obs, is_there = episodes.period_ends(stored_episodes())
     assert obs[0, :, 0].tolist() == [3.0, 6.0]
     assert is_there.tolist() == [[True, True], [False, False]]
 
@@ -95,7 +96,7 @@ def test_ends_are_those_of_periods_that_there_were():
 def test_the_controller_is_paid_for_the_distance_and_its_task_ends_at_the_subgoal():
     options = config.HessConfig(controller=dataclasses.replace(DDPG, reward_scale=0.1))
     learner = learning.Learning(1, 1, 10, 100, options)
-    steps = memory.Steps(
+    steps = episodes.Steps(
         obs=jnp.zeros((3, 1)),
         place=jnp.array([[0.0, 0.0], [2.95, 4.0], [3.0, 4.0]]),
         subgoal=jnp.array([[3.0, 4.0]] * 3),
@@ -188,8 +189,8 @@ def test_a_trained_subgoal_space_is_frozen_once_little_is_missed(miss, num_block
     learner = learning.Learning(2, 1, 100, 1_000, options)
     learned = jax.jit(learner.init, static_argnums=0)(100, jax.random.key(0))
     learned = learned.replace(space=learned.space.replace(num_blocks=jnp.int32(num_blocks)))
-    episodes = memory.init(10, 50, 2, (2, 1))
-    args = learned, episodes, jnp.int32(51_000), jnp.float32(miss), jax.random.key(1)
+    stored = episodes.init(10, 50, 2, (2, 1))
+    args = learned, stored, jnp.int32(51_000), jnp.float32(miss), jax.random.key(1)
     found, _ = jax.jit(learner.train_space)(*args)
     assert bool(found.space.is_frozen) == frozen
 
@@ -214,7 +215,7 @@ def small_hess(engine, reward="sparse", **options):
         manager=config.Sac(hidden=(4,)),
         controller=config.Ddpg(hidden=(4,), critic_hidden=(4,), updates_per_step=0.05),
     )
-    return system.Hess(env, 8, (12, 9), 20, dataclasses.replace(small, **options))
+    return hess.Hess(env, 8, (12, 9), 20, dataclasses.replace(small, **options))
 
 
 @functools.cache

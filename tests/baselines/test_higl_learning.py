@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import replay
+from eihrl_jax.agents import replay
 from eihrl_jax.baselines.higl import landmarks, learning, relabelling
 from eihrl_jax.config import higl as config
 

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import base, mazes, replay
-from eihrl_jax.baselines.higl import adjacency, landmarks, learning, novelty, relabelling, system
+from eihrl_jax import base, mazes
+from eihrl_jax.agents import replay
+from eihrl_jax.baselines.higl import adjacency, higl, landmarks, learning, novelty, relabelling
 from eihrl_jax.config import higl as config
 from eihrl_jax.envs import goal_maze
 from tests.envs import sled
@@ -111,8 +112,8 @@ def after_a_round(engine, costs_time):
         capacity=20,
         high_capacity=4,
     )
-    higl = system.Higl(env, engine().model.nu, (12, 9), options)
-    return jax.jit(lambda key: higl.advance(higl.init(key))[0])(jax.random.key(0))
+    agent = higl.Higl(env, engine().model.nu, (12, 9), options)
+    return jax.jit(lambda key: agent.advance(agent.init(key))[0])(jax.random.key(0))
 
 
 @pytest.mark.parametrize("costs_time", [False, True])

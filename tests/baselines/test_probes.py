@@ -18,8 +18,8 @@ import pytest
 
 from eihrl_jax import base
 from eihrl_jax.agents import droq
-from eihrl_jax.baselines import td3
 from eihrl_jax.baselines.hess import levels
+from eihrl_jax.baselines.higl import td3
 from eihrl_jax.config import hess, higl, low
 
 GAMMA = 0.5

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import pytest
 
 from eihrl_jax import base
-from eihrl_jax.baselines import td3
+from eihrl_jax.baselines.higl import td3
 from eihrl_jax.config import higl as config
 
 OPTIONS = config.Td3(

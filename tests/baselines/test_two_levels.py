@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from eihrl_jax import mazes, presets
-from eihrl_jax.baselines import system as system_lib
-from eihrl_jax.config import hess, higl
+from eihrl_jax import mazes
+from eihrl_jax.baselines import interface as system_lib
+from eihrl_jax.config import hess, higl, presets
 from eihrl_jax.envs import goal_maze
 from eihrl_jax.mazes import generators
 from eihrl_jax.training import baselines

@@ -8,8 +8,8 @@ from typing import Literal
 
 import pytest
 
-from eihrl_jax import base, config
-from eihrl_jax.config import checks
+from eihrl_jax import base
+from eihrl_jax.config import checks, codec
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -33,11 +33,11 @@ class Config:
 
 def test_json_round_trip():
     options = Config(rate=1.0, maze="u", inner=Inner(sizes=(), pair=(2.0, "b")))
-    assert config.from_json(Config, config.to_json(options)) == options
+    assert codec.from_json(Config, codec.to_json(options)) == options
 
 
 def test_options_left_out_keep_their_defaults():
-    assert config.from_json(Config, '{"rate": 1}') == Config(rate=1.0)
+    assert codec.from_json(Config, '{"rate": 1}') == Config(rate=1.0)
 
 
 @pytest.mark.parametrize(
@@ -57,12 +57,12 @@ def test_options_left_out_keep_their_defaults():
 )
 def test_what_does_not_fit_is_named(values, message):
     with pytest.raises(base.UserError, match=message):
-        config.from_json(Config, json.dumps(values))
+        codec.from_json(Config, json.dumps(values))
 
 
 def test_text_that_is_no_json():
     with pytest.raises(base.UserError, match=r"x/config.json is no JSON"):
-        config.from_json(Config, "{", source="x/config.json")
+        codec.from_json(Config, "{", source="x/config.json")
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -0.1, 1.1])

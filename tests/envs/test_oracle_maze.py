@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import base, mazes, raster
-from eihrl_jax.envs import oracle_maze, task
+from eihrl_jax import base, mazes
+from eihrl_jax.envs import oracle_maze, raster, task
 
 EAST, WEST, NORTH, SOUTH = map(jnp.int32, range(4))
 VIEW = raster.View()

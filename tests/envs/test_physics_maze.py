@@ -5,9 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import base, mazes, raster, robots
-from eihrl_jax.agents import hierarchy
-from eihrl_jax.envs import physics_maze, task
+from eihrl_jax import base, mazes, robots
+from eihrl_jax.envs import hierarchy, physics_maze, raster, task
 from eihrl_jax.physics import engine as engine_lib
 from tests.envs.sled import K, Sled
 

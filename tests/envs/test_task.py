@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import mazes, raster
-from eihrl_jax.envs import task
+from eihrl_jax import mazes
+from eihrl_jax.envs import raster, task
 from eihrl_jax.mazes import maze as maze_lib
 
 SEVEN = mazes.stack([mazes.load(name) for name in mazes.NAMES])

@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import mazes, raster
-from eihrl_jax.envs import oracle_maze, wrappers
+from eihrl_jax import mazes
+from eihrl_jax.envs import oracle_maze, raster, wrappers
 
 NUM_ENVS, NUM_STEPS = 32, 12
 

@@ -7,10 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from eihrl_jax import base, postures, robots
+from eihrl_jax import base, robots
 from eihrl_jax.config import measure as measure_config
+from eihrl_jax.envs import postures, subgoals
 from eihrl_jax.evaluation import measure, tables
-from eihrl_jax.training import subgoals
+from eihrl_jax.reporting import measurements
 
 ANT = dataclasses.replace(robots.load("ant"), steps_per_subgoal=2)
 
@@ -110,7 +111,7 @@ def test_distance_of_normal_laws_of_other_widths():
 def test_measuring_the_shipped_ant(tmp_path):
     out = tmp_path / "out"
     options = measure_config.MeasureConfig(num_subgoals=100, num_envs=10, num_postures=50, out=out)
-    found = measure.measure(options)
+    found = measurements.measure(options)
     np.testing.assert_equal(vars(subgoals.load(out)), vars(found[subgoals.OPEN]))
     assert found[subgoals.OPEN].along_mean > 2.0 and found[subgoals.OPEN].blocked == 0.0
     assert 0.0 < found[subgoals.ROOMS].blocked < 1.0
@@ -118,7 +119,7 @@ def test_measuring_the_shipped_ant(tmp_path):
     assert (out / "subgoals.png").stat().st_size > 10_000
     assert tables.of_subgoals(found, "ant").row_count == 12
     with pytest.raises(base.UserError, match="not empty"):
-        measure.measure(options)
+        measurements.measure(options)
 
 
 def test_too_few_subgoals_for_postures():

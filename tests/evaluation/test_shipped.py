@@ -2,9 +2,11 @@
 
 import pytest
 
-from eihrl_jax import policies, robots
+from eihrl_jax import robots
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.evaluation import evaluate, systems
+from eihrl_jax.evaluation import systems
+from eihrl_jax.reporting import evaluations
+from eihrl_jax.runs import policies
 
 
 @pytest.mark.parametrize("name", policies.shipped("high"))
@@ -29,5 +31,5 @@ def test_baselines_reach_the_goal_of_their_maze(name, tmp_path):
         animate="none",
         heatmaps=False,
     )
-    (cell,) = evaluate.evaluate(options).cells
+    (cell,) = evaluations.evaluate(options).cells
     assert cell.success.rate > 0.3  # of 500 episodes it is 0.69 and 0.64

@@ -4,7 +4,7 @@ import pytest
 
 from eihrl_jax import base
 from eihrl_jax.config import value_gap as gap_config
-from eihrl_jax.evaluation import value_gap
+from eihrl_jax.reporting import value_gaps
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,7 @@ def compared(tmp_path_factory):
         walking_episodes=16,
         out=out,
     )
-    return options, value_gap.compare(options)
+    return options, value_gaps.compare(options)
 
 
 def test_reference_against_itself_is_no_gap(compared):
@@ -55,10 +55,10 @@ def test_files_hold_what_was_returned(compared):
 def test_maze_with_several_goals_is_refused(tmp_path):
     options = gap_config.ValueGapConfig(mazes=("s",), out=tmp_path / "out")
     with pytest.raises(base.UserError, match="'s' has 3 goals, must have 1"):
-        value_gap.compare(options)
+        value_gaps.compare(options)
 
 
 def test_folder_is_not_overwritten(tmp_path):
     (tmp_path / "kept").write_text("x")
     with pytest.raises(base.UserError, match="not empty"):
-        value_gap.compare(gap_config.ValueGapConfig(out=tmp_path))
+        value_gaps.compare(gap_config.ValueGapConfig(out=tmp_path))

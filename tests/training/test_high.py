@@ -9,10 +9,12 @@ import jax
 import numpy as np
 import pytest
 
-from eihrl_jax import base, policies, postures, presets, robots
-from eihrl_jax import config as config_lib
+from eihrl_jax import base, robots
+from eihrl_jax.config import codec, presets
 from eihrl_jax.config import high as high_config
-from eihrl_jax.training import high, subgoals
+from eihrl_jax.envs import postures, subgoals
+from eihrl_jax.runs import policies
+from eihrl_jax.training import high
 
 
 def tiny(run, **options):
@@ -43,7 +45,7 @@ def test_run_folder_has_metrics_and_a_policy(finished):
     assert table["eval/success"][0] == "" and 0.0 <= float(table["eval/success"][2]) <= 1.0
     params, meta = policies.load(policies.find(finished, "high"), kind="high")
     assert meta["view"] == {"extent": 9.0, "pixels": 15, "map_radius": 0}
-    assert meta["network"] == json.loads(config_lib.to_json(tiny(finished).network))
+    assert meta["network"] == json.loads(codec.to_json(tiny(finished).network))
     assert meta["num_updates"] == 6 and meta["num_decisions"] == 576
     assert params["params"]["logits"]["kernel"].shape == (4, 4)
 
@@ -77,8 +79,8 @@ def test_summary_divides_by_episodes_or_by_updates():
 def test_presets_build_and_come_back_from_json(name):
     preset = presets.HIGH[name]
     assert preset.preset == name
-    text = config_lib.to_json(preset)
-    assert config_lib.from_json(high_config.HighConfig, text) == preset
+    text = codec.to_json(preset)
+    assert codec.from_json(high_config.HighConfig, text) == preset
     assert json.loads(text)["learner"]["window"] == preset.learner.window
 
 

@@ -8,8 +8,11 @@ import jax
 import numpy as np
 import pytest
 
-from eihrl_jax import base, checkpoint, policies, postures, presets, robots
+from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
+from eihrl_jax.config import presets
+from eihrl_jax.envs import postures
+from eihrl_jax.runs import checkpoint, policies
 from eihrl_jax.training import low
 
 

@@ -7,9 +7,11 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from eihrl_jax import base, replay
+from eihrl_jax import base
+from eihrl_jax.agents import replay
 from eihrl_jax.baselines import periods
-from eihrl_jax.baselines.hess import levels, memory, representation
+from eihrl_jax.baselines.hess import episodes as episodes_lib
+from eihrl_jax.baselines.hess import levels, representation
 from eihrl_jax.config import hess as config_lib
 
 
@@ -90,7 +92,7 @@ class Learning:
     def learn(
         self,
         learned: Learned,
-        episodes: memory.Episodes,
+        episodes: episodes_lib.Episodes,
         high_memory: replay.Replay,
         num_steps: Int[Array, ""],
         num_subgoals: int,
@@ -119,7 +121,7 @@ class Learning:
     def train_space(
         self,
         learned: Learned,
-        episodes: memory.Episodes,
+        episodes: episodes_lib.Episodes,
         num_steps: Int[Array, ""],
         miss: Float[Array, ""],
         key: Key[Array, ""],
@@ -142,7 +144,9 @@ class Learning:
         is_good = (space.num_blocks > 0) & (miss < options.stop_error)
         return learned.replace(space=space.replace(is_frozen=space.is_frozen | is_good)), loss
 
-    def control_transition(self, steps: memory.Steps) -> tuple[base.Transition, Float[Array, " B"]]:
+    def control_transition(
+        self, steps: episodes_lib.Steps
+    ) -> tuple[base.Transition, Float[Array, " B"]]:
         """Returns what the controller learns from stored steps, and how much each counts.
 
         A step from where the subgoal was reached already doesn't count.
@@ -163,19 +167,19 @@ class Learning:
     def _learn_controller(
         self,
         controller: levels.LevelState,
-        episodes: memory.Episodes,
+        episodes: episodes_lib.Episodes,
         num_steps: Int[Array, ""],
         key: Key[Array, ""],
     ) -> tuple[levels.LevelState, dict[str, Float[Array, " U"]]]:
         options = self._options.controller
         count = max(1, round(options.updates_per_step * self._steps_per_round))
         # Drawn at once, outside the loop over updates: XLA would copy the memory into that loop.
-        steps = memory.sample(episodes, (count, options.batch_size), key)
+        steps = episodes_lib.sample(episodes, (count, options.batch_size), key)
         halvings = num_steps // options.half_life
         rate = jnp.exp2(-halvings.astype(jnp.float32))
 
         def body(
-            state: levels.LevelState, steps: memory.Steps
+            state: levels.LevelState, steps: episodes_lib.Steps
         ) -> tuple[levels.LevelState, dict[str, Array]]:
             return self.controller.update(state, *self.control_transition(steps), rate)
 

@@ -14,7 +14,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base
-from eihrl_jax.baselines import optimisation
+from eihrl_jax.agents import optimisation
 from eihrl_jax.config import hess as config_lib
 from eihrl_jax.networks import droq, mlp
 from eihrl_jax.ops import tanh_normal

@@ -13,7 +13,7 @@ import optax
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from eihrl_jax.baselines import optimisation
+from eihrl_jax.agents import optimisation
 from eihrl_jax.config import hess as config_lib
 from eihrl_jax.networks import mlp
 

@@ -14,7 +14,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
-from eihrl_jax.baselines import optimisation
+from eihrl_jax.agents import optimisation
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.networks import mlp
 

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from eihrl_jax.baselines import td3
-from eihrl_jax.baselines.higl import novelty
+from eihrl_jax.baselines.higl import novelty, td3
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.ops import landmarks as ops
 

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Key
 
-from eihrl_jax import base, replay
-from eihrl_jax.baselines import td3
-from eihrl_jax.baselines.higl import adjacency, landmarks, novelty, relabelling
+from eihrl_jax import base
+from eihrl_jax.agents import replay
+from eihrl_jax.baselines.higl import adjacency, landmarks, novelty, relabelling, td3
 from eihrl_jax.config import higl as config_lib
 
 NUM_SUBGOAL = 2

@@ -1,0 +1,74 @@
+"""What all baselines are to those who train and use them, and how one is made from its options."""
+
+from typing import Any, Protocol, runtime_checkable
+
+from jaxtyping import Array, Float, Key
+
+from eihrl_jax import base
+from eihrl_jax.baselines import flat
+from eihrl_jax.baselines.hess import hess as hess
+from eihrl_jax.baselines.higl import higl as higl
+from eihrl_jax.config import baselines as config_lib
+from eihrl_jax.config import hess as hess_config
+from eihrl_jax.config import higl as higl_config
+
+
+@runtime_checkable
+class System(Protocol):
+    """Functions of a run; they hold no state."""
+
+    @property
+    def steps_per_round(self) -> int:
+        """Control steps of all environments together that `advance` takes."""
+        ...
+
+    def init(self, key: Key[Array, ""]) -> Any:
+        """Returns the state of a run that is about to start."""
+        ...
+
+    def advance(self, state: Any) -> tuple[Any, dict[str, Float[Array, ""]]]:
+        """Walks a round and learns from it; returns metrics too.
+
+        Metrics that begin with `sum_` are sums over the episodes that ended, `episodes` is their
+        number, all others are means.
+        """
+        ...
+
+    def policy(self, state: Any) -> dict[str, Any]:
+        """Returns what acts: parameters by name."""
+        ...
+
+    def start(self) -> Any:
+        """Returns what the policy remembers at an episode's beginning."""
+        ...
+
+    def act(
+        self, policy: dict[str, Any], memory: Any, obs: base.GoalObs, key: Key[Array, ""]
+    ) -> tuple[Float[Array, " nu"], Any]:
+        """Returns controls in [-1, 1] without exploration, and what is to be remembered."""
+        ...
+
+
+def make(
+    env: base.Environment,
+    num_actions: int,
+    side_xy: tuple[int, int],
+    episode_steps: int,
+    options: config_lib.BaselineConfig,
+) -> System:
+    """Builds a baseline.
+
+    Args:
+      env: where the robots walk; its observation is a `base.GoalObs`. Its `step` rests where the
+        episode is over; for a flat baseline it begins a new one.
+      num_actions: size A of the robot's controls.
+      side_xy: the arena's sides in units, its upper left corner at the origin.
+      episode_steps: control steps of the longest episode.
+      options: of the method.
+    """
+    if isinstance(options, config_lib.FlatConfig):
+        return flat.FlatDroq(env, num_actions, side_xy, options)
+    if isinstance(options, hess_config.HessConfig):
+        return hess.Hess(env, num_actions, side_xy, episode_steps, options)
+    assert isinstance(options, higl_config.HiglConfig)
+    return higl.Higl(env, num_actions, side_xy, options)

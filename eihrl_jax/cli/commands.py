@@ -1,0 +1,227 @@
+"""The table of commands; each is imported when it is called, so that a list of them is instant.
+
+`eihrl <command>` and `python -m experiments.<command>` are the same.
+"""
+
+import difflib
+import sys
+from collections.abc import Callable, Sequence
+
+from eihrl_jax.cli import shell
+
+Make = Callable[[], shell.Command]
+
+
+def train_high() -> shell.Command:
+    """Trains a high level with oracle movement."""
+    from eihrl_jax.config import high as high_config
+    from eihrl_jax.config import presets
+    from eihrl_jax.training import high
+
+    return shell.Command(high.train, high_config.HighConfig, presets.HIGH, uses_all_cores=True)
+
+
+def train_low() -> shell.Command:
+    """Trains a low level."""
+    from eihrl_jax.config import low as low_config
+    from eihrl_jax.config import presets
+    from eihrl_jax.training import low
+
+    return shell.Command(low.train, low_config.LowConfig, presets.LOW)
+
+
+def train_baseline() -> shell.Command:
+    """Trains a baseline: flat DroQ, HIGL, HRAC, HIRO or HESS."""
+    from eihrl_jax.config import baselines as baselines_config
+    from eihrl_jax.config import presets
+    from eihrl_jax.training import baselines
+
+    return shell.Command(
+        baselines.train, baselines_config.BaselineConfig, presets.BASELINES, option="method"
+    )
+
+
+def evaluate() -> shell.Command:
+    """Evaluates policies in mazes: success with intervals, heatmaps, an animation."""
+    import rich.console
+
+    from eihrl_jax.config import evaluate as evaluate_config
+    from eihrl_jax.evaluation import tables
+    from eihrl_jax.reporting import evaluations
+
+    def main(options: evaluate_config.EvaluateConfig) -> None:
+        evaluation = evaluations.evaluate(options)
+        tables.show(tables.terminal(evaluation.cells))
+        rich.console.Console().print(tables.NOTE, style="dim")
+        print(f"written to {options.out}")
+
+    return shell.Command(main, evaluate_config.EvaluateConfig)
+
+
+def measure_low() -> shell.Command:
+    """Measures how evenly a low level walks, and records its postures."""
+    from eihrl_jax.config import measure as measure_config
+    from eihrl_jax.evaluation import tables
+    from eihrl_jax.reporting import measurements
+
+    def main(options: measure_config.MeasureConfig) -> None:
+        statistics = measurements.measure(options)
+        tables.show([tables.of_subgoals(statistics, options.robot)])
+        print(f"written to {options.out}")
+
+    return shell.Command(main, measure_config.MeasureConfig)
+
+
+def report() -> shell.Command:
+    """Puts everything that the paper reports on one page."""
+    from eihrl_jax.reporting import report as report_lib
+
+    return shell.Command(report_lib.main, report_lib.ReportConfig, uses_all_cores=True)
+
+
+def demo() -> shell.Command:
+    """Trains a high level, then evaluates the whole hierarchy in four mazes."""
+    from eihrl_jax.studies import demo as demo_lib
+
+    return shell.Command(demo_lib.main, demo_lib.DemoConfig, uses_all_cores=True)
+
+
+def value_gap() -> shell.Command:
+    """Compares bounds on the hierarchy's loss with the loss that is measured."""
+    from eihrl_jax.config import value_gap as gap_config
+    from eihrl_jax.reporting import value_gaps
+
+    def main(options: gap_config.ValueGapConfig) -> None:
+        gaps = value_gaps.compare(options)
+        print(value_gaps.markdown(gaps), end="")
+        print(f"written to {options.out}")
+
+    return shell.Command(main, gap_config.ValueGapConfig)
+
+
+def benchmark() -> shell.Command:
+    """Measures speeds, and how far the two physics engines part."""
+    from eihrl_jax.benchmarks import suite
+
+    return shell.Command(suite.main, suite.BenchmarkConfig, uses_all_cores=True)
+
+
+def train_policies() -> shell.Command:
+    """Trains every shipped high level again."""
+    from eihrl_jax.studies import train_policies as policies_lib
+
+    return shell.Command(policies_lib.main, policies_lib.PoliciesConfig, uses_all_cores=True)
+
+
+def ablate_high() -> shell.Command:
+    """Trains and evaluates a high level with one option changed at a time."""
+    from eihrl_jax.studies import ablate_high as ablation
+
+    return shell.Command(ablation.main, ablation.AblationConfig, uses_all_cores=True)
+
+
+def ablate_low() -> shell.Command:
+    """Trains a low level with one option changed at a time."""
+    from eihrl_jax.studies import ablate_low as ablation
+
+    return shell.Command(ablation.main, ablation.AblationConfig)
+
+
+def compare_baselines() -> shell.Command:
+    """Trains ours and the baselines at equal budgets."""
+    from eihrl_jax.studies import compare_baselines as comparison
+
+    return shell.Command(comparison.main, comparison.CompareConfig)
+
+
+def small_maze() -> shell.Command:
+    """Trains the two-level baselines in a small maze, where each of them succeeds."""
+    from eihrl_jax.studies import small_maze as small
+
+    return shell.Command(small.main, small.SmallConfig)
+
+
+def reproduce_droq() -> shell.Command:
+    """Trains DroQ in the task of its published curves."""
+    from eihrl_jax.studies import reproduce_droq as reproduction
+
+    return shell.Command(reproduction.main, reproduction.ReproduceConfig)
+
+
+def reproduce_higl() -> shell.Command:
+    """Trains HIGL in the maze of its published curves."""
+    from eihrl_jax.studies import reproduce_higl as reproduction
+
+    return shell.Command(reproduction.main, reproduction.ReproduceConfig)
+
+
+def kill_resume() -> shell.Command:
+    """Kills a trainer at random moments, resumes it and compares the results bit for bit."""
+    from eihrl_jax.studies import kill_resume as killing
+
+    return shell.Command(killing.main, killing.KillConfig)
+
+
+COMMANDS: dict[str, Make] = {
+    make.__name__: make
+    for make in (
+        train_high,
+        train_low,
+        train_baseline,
+        evaluate,
+        measure_low,
+        report,
+        demo,
+        value_gap,
+        benchmark,
+        train_policies,
+        ablate_high,
+        ablate_low,
+        compare_baselines,
+        small_maze,
+        reproduce_droq,
+        reproduce_higl,
+        kill_resume,
+    )
+}
+"""By name; `eihrl` writes a hyphen for an underscore."""
+
+
+def run(name: str) -> None:
+    """Runs a command with the arguments of this process, as `python -m experiments.<name>`."""
+    shell.run(COMMANDS[name](), sys.argv[1:], f"python -m experiments.{name}")
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Runs `eihrl <command> [options]`, or lists the commands."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help"):
+        print(_list())
+        return
+    name = words[0].replace("-", "_")
+    if name not in COMMANDS:
+        shell.fail(_unknown(words[0]))
+    shell.run(COMMANDS[name](), words[1:], f"eihrl {_spelled(name)}")
+
+
+def _list() -> str:
+    """Returns what `eihrl --help` prints."""
+    width = max(map(len, COMMANDS)) + 2
+    rows = [
+        f"  {_spelled(name):{width}}{(make.__doc__ or '').splitlines()[0]}"
+        for name, make in COMMANDS.items()
+    ]
+    usage = "usage: eihrl COMMAND [options]     (eihrl COMMAND --help shows the options)"
+    return "\n".join([usage, "", "commands:", *rows])
+
+
+def _unknown(word: str) -> str:
+    """Returns the error for a word that is no command."""
+    names = [_spelled(name) for name in COMMANDS]
+    near = difflib.get_close_matches(word, names, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(names)}"
+    return f"{word!r} is no command; {hint}"
+
+
+def _spelled(name: str) -> str:
+    return name.replace("_", "-")

@@ -1,0 +1,137 @@
+"""The shell around every command line: presets, options, errors in one line, exit codes.
+
+Exit codes: 0 done, 2 the user's mistake, 130 interrupted with Ctrl-C.
+"""
+
+import contextlib
+import dataclasses
+import errno
+import functools
+import io
+import itertools
+import os
+import pathlib
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Generic, NoReturn, TypeVar
+
+import jax
+import tyro
+
+from eihrl_jax import base
+from eihrl_jax.training import parallel
+
+ConfigT = TypeVar("ConfigT")
+
+_PLACE_ERRORS = (
+    errno.EACCES,
+    errno.EEXIST,
+    errno.EISDIR,
+    errno.ENOSPC,
+    errno.ENOTDIR,
+    errno.EPERM,
+    errno.EROFS,
+)
+"""What is wrong with the place that files are to be read from or written to."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Command(Generic[ConfigT]):
+    """One command.
+
+    Attributes:
+      main: what it does.
+      config_type: dataclass of its options; its docstring is the help text.
+      presets: defaults to choose from by name, the first one being used without it; each is a
+        `config_type`, and has the name as the value of `option`.
+      option: what the user chooses a preset with.
+      uses_all_cores: whether every core of the CPU is a device of JAX.
+    """
+
+    main: Callable[[ConfigT], object]
+    config_type: type[ConfigT]
+    presets: Mapping[str, ConfigT] = dataclasses.field(default_factory=dict)
+    option: str = "preset"
+    uses_all_cores: bool = False
+
+
+def run(command: Command, argv: Sequence[str], program: str) -> None:
+    """Parses a command line and does what it says; ends the process on an error.
+
+    Args:
+      command: which one.
+      argv: its arguments.
+      program: how it was called, for its help text.
+    """
+    try:
+        config = _parse(command, list(argv), program)
+        _set_compilation_cache()
+        if command.uses_all_cores:
+            parallel.use_cpu_cores()
+        command.main(config)
+    except base.UserError as error:
+        fail(str(error))
+    except OSError as error:
+        if error.errno not in _PLACE_ERRORS:
+            raise
+        fail(f"{error.filename}: {error.strerror}")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+def fail(message: str) -> NoReturn:
+    """Ends the process with one line about the user's mistake."""
+    print(f"error: {message}", file=sys.stderr)
+    sys.exit(2)
+
+
+def _parse(command: Command[ConfigT], arguments: list[str], program: str) -> ConfigT:
+    """Parses the arguments; `--help` shows the defaults of the chosen preset."""
+    messages = io.StringIO()
+    parsed_type = command.config_type
+    parse = functools.partial(tyro.cli, parsed_type, args=arguments, prog=program)
+    if command.presets:
+        default = command.presets[_chosen(command.presets, arguments, command.option)]
+        parsed_type = type(default)
+        parse = functools.partial(
+            tyro.cli, parsed_type, default=default, args=arguments, prog=program
+        )
+    try:
+        with contextlib.redirect_stderr(messages):
+            return parse()
+    except SystemExit as end:
+        if end.code:
+            fail(_one_line(messages.getvalue()).removeprefix(f"{parsed_type.__name__}: "))
+        raise
+
+
+def _chosen(presets: Mapping[str, object], arguments: list[str], wanted: str) -> str:
+    name = next(iter(presets))
+    for argument, following in itertools.pairwise([*arguments, ""]):
+        option, _, value = argument.partition("=")
+        if option == f"--{wanted}":
+            name = value or following
+    if name not in presets:
+        raise base.UserError(f"--{wanted} {name!r} must be one of {', '.join(presets)}")
+    return name
+
+
+def _one_line(box: str) -> str:
+    """Reduces a framed message to its first paragraph."""
+    words: list[str] = []
+    for line in box.splitlines():
+        content = line.strip("│ ")
+        if line.startswith(("╭", "╰")):
+            continue
+        if set(content) == {"─"}:
+            break
+        words += content.split()
+    return " ".join(words).removeprefix("Error parsing ")
+
+
+def _set_compilation_cache() -> None:
+    """Lets JAX keep compiled programs between runs, unless the user has chosen a place already."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        cache = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(cache / "eihrl_jax"))

@@ -1,0 +1,108 @@
+"""Configs as JSON: frozen dataclasses of numbers, words, paths, tuples and other such dataclasses.
+
+`from_json` builds nothing but the given class and what its annotations name, so a config file from
+a stranger can't run code.
+"""
+
+import dataclasses
+import json
+import pathlib
+import types
+import typing
+from typing import Any, TypeVar
+
+from eihrl_jax import base
+
+ConfigT = TypeVar("ConfigT")
+
+
+def to_json(config: Any) -> str:
+    """Returns a config as JSON text; paths become text and tuples become lists."""
+    return json.dumps(dataclasses.asdict(config), indent=2, default=str) + "\n"
+
+
+def from_json(config_type: type[ConfigT], text: str, *, source: str = "config") -> ConfigT:
+    """Builds a config from JSON text; options that the text leaves out keep their defaults.
+
+    Args:
+      config_type: the dataclass to build.
+      text: what `to_json` returned.
+      source: where the text comes from, for the error.
+
+    Raises:
+      UserError: no JSON, an unknown option, a value of the wrong type or outside its limits.
+    """
+    try:
+        values = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise base.UserError(f"{source} is no JSON: {error}") from None
+    try:
+        return _build(config_type, values, source)
+    except base.UserError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise base.UserError(f"{source} doesn't fit: {error}") from None
+
+
+def _build(annotation: Any, value: Any, name: str) -> Any:
+    """Turns a JSON value into what its annotation asks for."""
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if annotation is Any:
+        return value
+    if origin in (typing.Union, types.UnionType):
+        return _build_union(arguments, value, name)
+    if origin is typing.Literal:
+        if value not in arguments:
+            raise base.UserError(f"{name} = {value!r} must be one of {', '.join(arguments)}")
+        return value
+    if origin is tuple:
+        return _build_tuple(arguments, value, name)
+    if dataclasses.is_dataclass(annotation):
+        return _build_dataclass(annotation, value, name)
+    if annotation is pathlib.Path and isinstance(value, str):
+        return pathlib.Path(value)
+    if annotation is float and type(value) is int:
+        return float(value)
+    if annotation is type(None) and value is None:
+        return None
+    if type(value) is not annotation:
+        raise base.UserError(f"{name} = {value!r} must be {_type_name(annotation)}")
+    return value
+
+
+def _build_union(arguments: tuple[Any, ...], value: Any, name: str) -> Any:
+    for argument in arguments:
+        if dataclasses.is_dataclass(argument) and isinstance(value, dict):
+            return _build(argument, value, name)  # with what is wrong inside of it
+        try:
+            return _build(argument, value, name)
+        except base.UserError:
+            continue
+    names = " or ".join(_type_name(argument) for argument in arguments)
+    raise base.UserError(f"{name} = {value!r} must be {names}")
+
+
+def _build_tuple(arguments: tuple[Any, ...], value: Any, name: str) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise base.UserError(f"{name} = {value!r} must be a list")
+    if len(arguments) == 2 and arguments[1] is Ellipsis:
+        arguments = (arguments[0],) * len(value)
+    if len(arguments) != len(value):
+        raise base.UserError(f"{name} = {value!r} must have {len(arguments)} elements")
+    pairs = zip(arguments, value, strict=True)
+    return tuple(_build(each, item, f"{name}[{i}]") for i, (each, item) in enumerate(pairs))
+
+
+def _build_dataclass(annotation: Any, value: Any, name: str) -> Any:
+    if not isinstance(value, dict):
+        raise base.UserError(f"{name} = {value!r} must be an object of options")
+    hints = typing.get_type_hints(annotation)
+    known = [field.name for field in dataclasses.fields(annotation) if field.init]
+    unknown = [key for key in value if key not in known]
+    if unknown:
+        raise base.UserError(f"{name}: unknown option {unknown[0]!r}; known: {', '.join(known)}")
+    return annotation(**{key: _build(hints[key], item, key) for key, item in value.items()})
+
+
+def _type_name(annotation: Any) -> str:
+    return "null" if annotation is type(None) else getattr(annotation, "__name__", str(annotation))

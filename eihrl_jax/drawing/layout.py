@@ -1,0 +1,116 @@
+"""Plans of mazes and the high level's patches, drawn to scale into given matplotlib axes."""
+
+from typing import Any
+
+import matplotlib.axes
+import matplotlib.patches
+import numpy as np
+from jaxtyping import Bool, Int
+
+from eihrl_jax import base
+from eihrl_jax.drawing import palette, picture
+from eihrl_jax.envs import raster
+from eihrl_jax.mazes import maze as maze_lib
+
+_DOOR_OPACITY = 0.35
+
+
+def extent(maze: maze_lib.Maze) -> tuple[float, float, float, float]:
+    """Returns the sides of a maze as matplotlib's `extent`: left, right, bottom, top, in units."""
+    rows, columns = maze.wall.shape
+    return 0.0, columns * base.CELL, -rows * base.CELL, 0.0
+
+
+def draw(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, title: str = "") -> None:
+    """Draws the plan of a maze: tiles of one cell, walls, numbered goals, door candidates, starts.
+
+    Args:
+      axes: where to; gets the maze's size and labels in units.
+      maze: one maze. Door candidates that are not open are tinted.
+      title: what stands above it.
+    """
+    tile = np.indices(maze.wall.shape).sum(0) % 2 == 0
+    image = np.where(
+        tile[..., None], palette.rgb(palette.FLOOR), palette.rgb(palette.FLOOR_ALTERNATE)
+    )
+    goal, gold = np.asarray(maze.goal), palette.rgb(palette.GOAL)
+    image[goal > 0] = gold
+    closed = np.asarray(maze.door & maze.wall)
+    wall = palette.rgb(palette.WALL)
+    image[closed] = (1.0 - _DOOR_OPACITY) * wall + _DOOR_OPACITY * gold
+    axes.imshow(image, extent=extent(maze), interpolation="nearest")
+    add_marks(axes, maze, start_colour=palette.INK)
+    centre_xy = np.asarray(maze_lib.goal_centres(maze))
+    for number in np.unique(goal[goal > 0]):
+        x, y = centre_xy[number - 1]
+        axes.text(x, y, str(number), ha="center", va="center", color=palette.INK, weight="bold")
+    axes.set_xlabel("x, units", color=palette.INK)
+    axes.set_ylabel("y, units", color=palette.INK)
+    axes.set_title(title, loc="left", color=palette.INK, fontsize=10)
+
+
+def add_marks(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, start_colour: str) -> None:
+    """Adds walls, outlines of doors and goals, and starts to what is drawn of a maze to scale.
+
+    Args:
+      axes: where to; gets the maze's size.
+      maze: one maze.
+      start_colour: of the circles around starts; a room that starts anywhere gets none.
+    """
+    door = np.asarray(maze.door)
+    for cells in picture.wall_rectangles(np.asarray(maze.wall) & ~door):
+        _add_rectangle(axes, cells, facecolor=palette.WALL, edgecolor=palette.WALL)
+    for i, j in np.argwhere(door):
+        cell = np.array([i, j, i + 1, j + 1])
+        _add_rectangle(axes, cell, facecolor="none", edgecolor=palette.GOAL, linewidth=0.5)
+    goal = np.asarray(maze.goal)
+    for number in range(1, int(goal.max()) + 1):
+        for cells in picture.wall_rectangles(goal == number):
+            _add_rectangle(axes, cells, facecolor="none", edgecolor=palette.GOAL, linewidth=2)
+    starts = np.argwhere(np.asarray(maze.start))
+    if len(starts) <= maze_lib.MAX_GOALS:
+        x, y = (starts[:, 1] + 0.5) * base.CELL, -(starts[:, 0] + 0.5) * base.CELL
+        axes.plot(x, y, "o", markerfacecolor="none", markeredgecolor=start_colour, markersize=9)
+    left, right, bottom, top = extent(maze)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_aspect("equal")
+    axes.spines[:].set_visible(False)
+    axes.tick_params(colors=palette.INK)
+
+
+def draw_patch(
+    axes: matplotlib.axes.Axes,
+    patch: Bool[np.ndarray, "P P C"],
+    view: raster.View,
+    *,
+    title: str = "",
+) -> None:
+    """Draws what a high level sees, its three channels in one picture.
+
+    Args:
+      axes: where to; gets the view's size and labels in units from the torso.
+      patch: channels wall, unvisited goal, robot; see `raster.patch`.
+      view: extent and resolution of the patch.
+      title: what stands above it.
+    """
+    half = view.extent / 2
+    sides = (-half, half, -half, half)
+    axes.imshow(picture.colour_patch(patch), extent=sides, interpolation="nearest")
+    edges = np.linspace(-half, half, view.pixels + 1)
+    style = {"color": palette.PAPER, "linewidth": 0.5}
+    axes.hlines(edges, -half, half, **style)
+    axes.vlines(edges, -half, half, **style)
+    axes.set_xlim(-half, half)
+    axes.set_ylim(-half, half)
+    axes.spines[:].set_visible(False)
+    axes.tick_params(colors=palette.INK)
+    axes.set_xlabel("x from the torso, units", color=palette.INK)
+    axes.set_ylabel("y from the torso, units", color=palette.INK)
+    axes.set_title(title, loc="left", color=palette.INK, fontsize=10)
+
+
+def _add_rectangle(axes: matplotlib.axes.Axes, cells: Int[np.ndarray, "4"], **style: Any) -> None:
+    """Adds a rectangle of cells: first row and column, last row and column + 1."""
+    i0, j0, i1, j1 = (base.CELL * n for n in cells)
+    axes.add_patch(matplotlib.patches.Rectangle((j0, -i1), j1 - j0, i1 - i0, **style))

@@ -1,0 +1,1 @@
+"""Tasks of other publications, for comparison with their figures."""

@@ -1,0 +1,150 @@
+"""Subgoal statistics: how evenly a low level carries out its subgoals (paper, Definition 3.1)."""
+
+import dataclasses
+import json
+import math
+import pathlib
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from eihrl_jax import base
+from eihrl_jax.envs import postures
+from eihrl_jax.robots import robot as robot_lib
+
+FILE, POSTURES = "subgoals.json", "postures.npz"
+"""Names of the files in which a measurement keeps its figures and its posture bank."""
+
+OPEN, ROOMS = "open floor", "random rooms"
+"""Surroundings in which low levels are measured."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Statistics:
+    """How a robot carries out random subgoals in one surrounding, free of walls in its way.
+
+    Attributes:
+      num_subgoals: number of subgoals begun upright.
+      blocked: share of them with a wall in the way, which the displacements leave out.
+      along_mean: displacement along the subgoal, units.
+      along_std: its standard deviation, units.
+      lateral_mean: displacement to the left of the subgoal, the bias, units.
+      lateral_std: its standard deviation, units.
+      correlation: between the two.
+      along_distance: Wasserstein-1 distance between the law of `along` minus one cell and the
+        normal law that the high level trains with, units.
+      lateral_distance: the same of `lateral`.
+      falls: per 1,000 subgoals begun upright.
+      recovered: share of the falls after which the robot stood again; NaN without falls.
+      recovery_seconds: median time that took; NaN without recoveries.
+      breakdowns: of the simulation, per 1,000 subgoals.
+    """
+
+    num_subgoals: int
+    blocked: float
+    along_mean: float
+    along_std: float
+    lateral_mean: float
+    lateral_std: float
+    correlation: float
+    along_distance: float
+    lateral_distance: float
+    falls: float
+    recovered: float
+    recovery_seconds: float
+    breakdowns: float
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation per axis, both axes taken together, units."""
+        return math.sqrt((self.along_std**2 + self.lateral_std**2) / 2.0)
+
+
+def load(folder: pathlib.Path) -> Statistics:
+    """Reads the figures for open floor from the folder of a measurement.
+
+    Raises:
+      base.UserError: there are none, or they are damaged.
+    """
+    path = folder / FILE
+    try:
+        found = Statistics(**json.loads(path.read_text())[OPEN])
+        is_known = math.isfinite(found.along_mean) and math.isfinite(found.sigma)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise base.UserError(f"measurement {path} can't be read: {error}") from None
+    if not is_known:
+        raise base.UserError(f"measurement {path} holds no displacement: no subgoal was completed")
+    return found
+
+
+class Walking(NamedTuple):
+    """What oracle movement imitates.
+
+    Attributes:
+      step: units per subgoal.
+      sigma: standard deviation per axis, units.
+      bank: postures that are shown.
+    """
+
+    step: float
+    sigma: float
+    bank: postures.PostureBank
+
+
+def walking(
+    robot: robot_lib.Robot, measured: pathlib.Path | None, step: float, sigma: float
+) -> Walking:
+    """Returns how a robot walks as it was measured, or else as asked for with shipped postures.
+
+    Args:
+      robot: the robot.
+      measured: folder of a measurement, None for none.
+      step: units per subgoal, without a measurement.
+      sigma: standard deviation per axis without a measurement, units.
+
+    Raises:
+      base.UserError: the measurement can't be read, or is another robot's.
+    """
+    if measured is None:
+        return Walking(step, sigma, postures.for_robot(robot))
+    statistics = load(measured)
+    bank = postures.load(measured / POSTURES, robot)
+    return Walking(statistics.along_mean, statistics.sigma, bank)
+
+
+def summarise(walked: dict[str, Float[Array, "T N"]]) -> dict[str, Float[Array, ""]]:
+    """Summarises the metrics that `envs.locomotion.Locomotion` gave over T steps of N robots.
+
+    Args:
+      walked: `switched`, `along`, `lateral`, `fell`, `broke_down`, each [T, N].
+
+    Returns:
+      `along_mean`, `along_std`, `lateral_mean` (bias), `lateral_std` of the displacement per
+      completed subgoal, in units, in the frame of its direction; `falls` and `breakdowns` per 1,000
+      subgoals, where one that ended in a fall counts as begun; `num_subgoals`. NaN where no subgoal
+      was completed.
+    """
+    switched = walked["switched"]
+    completed = switched.sum()
+    along_mean, along_std = _moments(walked["along"], switched)
+    lateral_mean, lateral_std = _moments(walked["lateral"], switched)
+    falls, breakdowns = walked["fell"].sum(), walked["broke_down"].sum()
+    begun = jnp.maximum(completed + falls + breakdowns, 1.0)
+    return {
+        "along_mean": along_mean,
+        "along_std": along_std,
+        "lateral_mean": lateral_mean,
+        "lateral_std": lateral_std,
+        "falls": 1000.0 * falls / begun,
+        "breakdowns": 1000.0 * breakdowns / begun,
+        "num_subgoals": begun,
+    }
+
+
+def _moments(
+    values: Float[Array, "T N"], weights: Float[Array, "T N"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Returns mean and standard deviation of the values whose weight is 1."""
+    mean = jnp.sum(weights * values) / weights.sum()
+    return mean, jnp.sqrt(jnp.sum(weights * jnp.square(values - mean)) / weights.sum())

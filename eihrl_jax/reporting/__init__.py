@@ -1,0 +1,1 @@
+"""Folders and pages of results: numbers, tables and pictures together."""

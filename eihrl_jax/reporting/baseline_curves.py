@@ -1,0 +1,281 @@
+"""Learning of ours and the baselines for `experiments.report` (paper, Figures 5 and 6)."""
+
+import csv
+import itertools
+import pathlib
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from eihrl_jax import base, mazes, robots
+from eihrl_jax.drawing import curves
+from eihrl_jax.evaluation import results, tables
+from eihrl_jax.reporting import cached_runs, page
+
+LINES = {
+    "ours, walking": ("ours", "walking"),
+    "ours, oracle": ("ours", "eval"),
+    "flat DroQ": ("droq", "eval"),
+    "HIGL": ("higl", "eval"),
+    "HESS": ("hess", "eval"),
+    "HRAC": ("hrac", "eval"),
+    "HIRO": ("hiro", "eval"),
+}
+"""What the pictures show: method of `compare_peers`, and which of its evaluations."""
+
+RAND_H = "RAND-H"
+"""What the paper calls uniform directions."""
+
+LONG = "ours, oracle, long"
+
+_OURS = "ours, walking"
+
+_MEASURES: dict[base.Reward, tuple[str, ...]] = {
+    "sparse": ("return", "success"),
+    "dense": ("reward", "success"),
+}
+"""What is drawn. Ours is paid once per decision: dense rewards are means, sparse ones sums."""
+
+_UNITS = {
+    "return": ("goals reached per episode", 1.0, 2),
+    "reward": ("reward per step", 1.0, 3),
+    "success": ("success, %", 100.0, 0),
+}
+"""Name, factor and decimals of each."""
+
+_STYLES = ("ours, walking", "ours, oracle", "flat DroQ", "HIGL", "HESS", RAND_H, LONG)
+"""Order in which lines are given to labels: those of one colour belong together."""
+
+_SPENT = 0.9
+"""Share of the greatest budget from which on a run's budget is spent: rows differ in length."""
+
+Curve = Float[np.ndarray, "N 2"]
+
+
+def section(
+    long: Callable[[str], list[pathlib.Path]], peers: pathlib.Path | None, out: pathlib.Path
+) -> page.Section:
+    """Draws success and reward against episodes and control steps, and compares their ends.
+
+    Args:
+      long: finds the metrics of our high levels trained alike, e.g. "best-u" or "best-u-dense".
+      peers: folder of `compare_peers`, `<method>-<maze>[-dense]-<seed>` each; None: no picture.
+      out: folder of the pictures.
+
+    Raises:
+      base.UserError: `peers` holds no such run.
+    """
+    pictures, at_the_end = [], []
+    if peers is not None:
+        for maze, reward in itertools.product(mazes.NAMES, base.REWARDS):
+            pictures += _pictures(long, peers, maze, reward, out)
+        if not pictures:
+            raise base.UserError(f"peers = {peers} holds no <method>-<maze>-<seed>")
+        ends: dict[tuple[base.Reward, str], dict[str, dict[str, Curve]]] = {
+            (reward, y): found
+            for reward in base.REWARDS
+            for y in reversed(_MEASURES[reward])
+            if (found := _ends(peers, reward, y))
+        }
+        at_the_end = [_at_the_end(*task, found) for task, found in ends.items()]
+        at_the_end.append(_where_ours_is_reached(ends))
+    return page.Section(
+        title="Learning at equal budgets (Figures 5 and 6)",
+        text="All are evaluated without exploration. The baselines walk while they learn. Our high "
+        "level learns moved by the oracle: a decision counts as the ant's 25 control steps, and "
+        "the low level with which it then walks was trained before, which isn't counted. Up to "
+        "300,000 control steps the baselines' schedules are shortened, and flat DroQ makes one "
+        "update per step where 20 are published (docs/baselines.md). "
+        f"{LONG}: the high levels of the other parts, with more workers and a greater budget.",
+        tables=[table for table in at_the_end if table.rows],
+        pictures=pictures,
+    )
+
+
+def _ends(peers: pathlib.Path, reward: base.Reward, y: str) -> dict[str, dict[str, Curve]]:
+    """Returns the last points of all methods' curves, one per seed, by maze and label."""
+    found = {}
+    for maze in mazes.NAMES:
+        drawn = _at_equal_budgets(peers, cached_runs.task(maze, reward), y, _by_steps)
+        if drawn:
+            found[maze] = {
+                label: np.stack([line[-1] for line in lines]) for label, lines in drawn.items()
+            }
+    return found
+
+
+def _at_the_end(reward: base.Reward, y: str, found: dict[str, dict[str, Curve]]) -> tables.Table:
+    """Compares the last evaluations of all methods, their mean and range over seeds."""
+    rows = [
+        [label, *(_spread(found[maze].get(label), y) for maze in found)]
+        for label in (*LINES, RAND_H)
+        if any(label in ends for ends in found.values())
+    ]
+    steps = [float(end[:, 0].max()) for ends in found.values() for end in ends.values()]
+    title = f"{_UNITS[y][0].capitalize()}, {reward} reward, after {_steps(steps)}"
+    return tables.Table(f"{title}: mean (range), seeds", ["method", *found], rows)
+
+
+def _where_ours_is_reached(
+    ends: dict[tuple[base.Reward, str], dict[str, dict[str, Curve]]],
+) -> tables.Table:
+    """Lists the tasks in which another method's best seed is as good as our worst, walking."""
+    rows = []
+    for (reward, y), found in ends.items():
+        for maze, by_label in found.items():
+            if _OURS not in by_label:
+                continue
+            worst = by_label[_OURS][:, 1].min()
+            reached = [
+                f"{label} {_spread(end, y)}"
+                for label, end in by_label.items()
+                if not label.startswith("ours") and end[:, 1].max() >= worst
+            ]
+            if reached:
+                task = [cached_runs.task(maze, reward), _UNITS[y][0], _spread(by_label[_OURS], y)]
+                rows.append([*task, "; ".join(reached)])
+    title = "Where ours isn't clearly better: its worst seed is no better than another's best"
+    return tables.Table(title, ["task", "measure", _OURS, "others"], rows)
+
+
+def _spread(end: Curve | None, y: str) -> str:
+    """Writes mean, range and number of the last values of several seeds."""
+    if end is None:
+        return "-"
+    _, scale, digits = _UNITS[y]
+    values = scale * end[:, 1]
+    mean, low, high = (f"{x:.{digits}f}" for x in (values.mean(), values.min(), values.max()))
+    return f"{mean} ({low} to {high}), {len(end)}"
+
+
+def _steps(ends: Sequence[float]) -> str:
+    """Writes how many control steps were spent, which differ by rows of metrics."""
+    low, high = (f"{round(end):,}" for end in (min(ends), max(ends)))
+    return f"{high if low == high else f'{low} to {high}'} control steps"
+
+
+def _pictures(
+    long: Callable[[str], list[pathlib.Path]],
+    peers: pathlib.Path,
+    maze: str,
+    reward: base.Reward,
+    out: pathlib.Path,
+) -> list[page.Picture]:
+    """Draws a task against both axes; nothing where no method has learned it."""
+    task = cached_runs.task(maze, reward)
+    spent = _at_equal_budgets(peers, task, "success", _by_steps).values()
+    if not spent:
+        return []
+    budget = _steps([float(line[-1, 0]) for lines in spent for line in lines])
+    pictures = []
+    for y, (axis, read) in itertools.product(_MEASURES[reward], _AXES.items()):
+        drawn = _at_equal_budgets(peers, task, y, read)
+        if files := long(f"best-{task}"):
+            drawn[LONG] = [read(file, f"eval/{y}") for file in files]
+        label, scale, _ = _UNITS[y]
+        path = out / f"peers-{task}-{y}-{axis.replace(' ', '-')}.png"
+        out.mkdir(parents=True, exist_ok=True)
+        curves.save_spread(
+            path,
+            drawn,
+            x_label=f"{axis} (budget: {budget})",
+            y_label=label,
+            y_scale=scale,
+            has_log_x=True,
+            labels=_STYLES,
+        )
+        text = f"{maze}, {reward} reward: {y} against {axis}, mean and range over seeds."
+        pictures.append(page.Picture(path, text))
+    return pictures
+
+
+def _at_equal_budgets(
+    folder: pathlib.Path, task: str, y: str, read: Callable[[pathlib.Path, str], Curve]
+) -> dict[str, list[Curve]]:
+    """Reads the curves of each method in a task and of RAND-H; none if no method has learned it."""
+    found = _lines(folder, task, y, read)
+    return found | _flat(folder, task, y, found) if found else {}
+
+
+def _lines(
+    folder: pathlib.Path, task: str, y: str, read: Callable[[pathlib.Path, str], Curve]
+) -> dict[str, list[Curve]]:
+    """Reads the curves of each method in a task, one per seed."""
+    found = {}
+    for label, files in _finished(folder, task).items():
+        if lines := [line for file in files if len(line := read(file, f"{LINES[label][1]}/{y}"))]:
+            found[label] = lines
+    return found
+
+
+def _finished(folder: pathlib.Path, task: str) -> dict[str, list[pathlib.Path]]:
+    """Lists the metrics of each method in a task that have spent the greatest budget of them all.
+
+    What hasn't been evaluated near there yet is still being trained, and left out.
+    """
+    ends: dict[str, dict[pathlib.Path, float]] = {}
+    for label, (method, name) in LINES.items():
+        for run in cached_runs.seeds_of(folder, f"{method}-{task}"):
+            file = run / "metrics.csv"
+            if file.is_file() and _is_evaluated(file, name):
+                end = float(_by_steps(file, f"{name}/success")[-1, 0])
+                ends.setdefault(label, {})[file] = end
+    spent = _SPENT * max((end for files in ends.values() for end in files.values()), default=0.0)
+    return {
+        label: [file for file, end in files.items() if end >= spent]
+        for label, files in ends.items()
+    }
+
+
+def _is_evaluated(file: pathlib.Path, name: str) -> bool:
+    """Tells whether a run has been evaluated; its file may be empty until then."""
+    if f"{name}/success" not in curves.columns(file):
+        return False
+    with file.open(newline="") as text:
+        return any(row[f"{name}/success"] for row in csv.DictReader(text))
+
+
+def _flat(
+    folder: pathlib.Path, task: str, y: str, others: dict[str, list[Curve]]
+) -> dict[str, list[Curve]]:
+    """Returns RAND-H, which learns nothing, as lines along all other curves."""
+    x = np.concatenate([curve[:, 0] for curves in others.values() for curve in curves])
+    lines = []
+    for run in cached_runs.seeds_of(folder, f"rand_h-{task}"):
+        cell = results.load(run / "eval.json").cells[0]
+        value = {
+            "success": cell.success.rate,
+            "return": cell.return_mean,
+            "reward": cell.return_mean / cell.decisions_mean,
+        }[y]
+        lines.append(np.array([[x.min(), value], [x.max(), value]]))
+    return {RAND_H: lines} if lines else {}
+
+
+def _by_steps(file: pathlib.Path, y: str) -> Curve:
+    """Reads a curve against control steps."""
+    if "num_decisions" not in curves.columns(file):
+        return curves.read(file, "step", y)
+    return curves.read(file, "num_decisions", y) * [robots.load("ant").steps_per_subgoal, 1.0]
+
+
+def _by_episodes(file: pathlib.Path, y: str) -> Curve:
+    """Reads a curve against the episodes that had ended, from the first one on."""
+    if "episodes" in curves.columns(file):
+        x = "step"
+        done, ended = curves.read(file, x, "episodes").T
+    else:
+        # Shipped metrics: what was decided since the last row, over the mean length of what ended.
+        x = "num_decisions"
+        done, length = curves.read(file, x, "decisions").T
+        ended = np.diff(done, prepend=0.0) / length
+    found = curves.read(file, x, y)
+    found[:, 0] = np.interp(found[:, 0], done, np.cumsum(ended))
+    return found[found[:, 0] > 0.0]
+
+
+_AXES: dict[str, Callable[[pathlib.Path, str], Curve]] = {
+    "episodes": _by_episodes,
+    "control steps": _by_steps,
+}

@@ -1,0 +1,110 @@
+"""Runs of commands that can be stopped and called again: names, and each is made once."""
+
+import dataclasses
+import functools
+import json
+import pathlib
+import shutil
+from collections.abc import Callable
+from typing import TypeVar
+
+from eihrl_jax import base
+from eihrl_jax.config import baselines as baselines_config
+from eihrl_jax.config import codec
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import high as high_config
+from eihrl_jax.config import low as low_config
+from eihrl_jax.evaluation import results
+from eihrl_jax.reporting import evaluations
+from eihrl_jax.runs import checkpoint, policies
+
+Run = low_config.LowConfig | high_config.HighConfig | baselines_config.BaselineConfig
+RunT = TypeVar("RunT", bound=Run)
+
+MAZES = ("random", "u", "s", "spiral")
+"""Mazes that the paper trains in (Tables 1 to 3, Figures 5 and 6)."""
+
+
+def task(maze: str, reward: base.Reward) -> str:
+    """Names a task: `<maze>[-dense]`."""
+    return maze if reward == "sparse" else f"{maze}-{reward}"
+
+
+def name(what: str, maze: str, reward: base.Reward, seed: int) -> str:
+    """Names a run folder: `<what>-<maze>[-dense]-<seed>`, as the report finds it."""
+    return f"{what}-{task(maze, reward)}-{seed}"
+
+
+def seeds_of(folder: pathlib.Path, run: str) -> list[pathlib.Path]:
+    """Lists the folders `<run>-<seed>` that there are, by seed."""
+    found = {path.name.removeprefix(f"{run}-"): path for path in folder.glob(f"{run}-*")}
+    return [found[seed] for seed in sorted(filter(str.isdecimal, found), key=int)]
+
+
+def planned(options: RunT, train: Callable[[RunT], object]) -> Callable[[], None]:
+    """Returns what does as `finish` does.
+
+    Raises:
+      base.UserError: it has been done with other options, or is damaged.
+    """
+    is_finished(options)
+    return functools.partial(finish, options, train)
+
+
+def finish(options: RunT, train: Callable[[RunT], object]) -> None:
+    """Trains a run to its end, if that hasn't been done; `options` resume.
+
+    Raises:
+      base.UserError: it has been done with other options.
+    """
+    if not is_finished(options):
+        train(options)
+
+
+def is_finished(options: Run) -> bool:
+    """Tells whether a run has its policy, and not one from before it was extended.
+
+    Raises:
+      base.UserError: it was trained with other options than it would be now, or is damaged.
+    """
+    policy = options.run / policies.FOLDER
+    if not checkpoint.is_complete(policy):
+        return False
+    file = options.run / "config.json"
+    if not file.is_file():
+        raise base.UserError(f"{options.run} has a policy, but no {file.name}")
+    found = codec.from_json(type(options), file.read_text(), source=str(file))
+    if dataclasses.replace(found, run=options.run, resume=True) != options:
+        raise base.UserError(f"{options.run} was trained with other options: name another --out")
+    unit, length = _length(options)
+    meta = json.loads(checkpoint.read_file(policy, "meta.json"))
+    return policies.entry(meta, unit, policy) >= length
+
+
+def _length(options: Run) -> tuple[str, int]:
+    """Returns what a run counts in, by its policy's name for it, and how many it is to have."""
+    if isinstance(options, low_config.LowConfig):
+        return "num_iterations", options.num_iterations
+    if isinstance(options, high_config.HighConfig):
+        return "num_updates", options.learner.num_updates
+    return "num_steps", options.num_steps
+
+
+def evaluated(options: evaluate_config.EvaluateConfig) -> tuple[results.Cell, ...]:
+    """Returns the results of an evaluation, made if they aren't there.
+
+    Raises:
+      base.UserError: they are there, with other options.
+    """
+    if not options.out.exists():
+        # Under another name until it is complete: what a kill leaves there is begun anew.
+        partial = options.out.with_name(f"{options.out.name}.incomplete")
+        shutil.rmtree(partial, ignore_errors=True)
+        evaluations.evaluate(dataclasses.replace(options, out=partial))
+        partial.rename(options.out)
+    found = results.load(options.out / "eval.json")
+    asked = json.loads(codec.to_json(options))
+    about = found.about if isinstance(found.about, dict) else {}
+    if {**about.get("config", {}), "out": ""} != {**asked, "out": ""}:
+        raise base.UserError(f"{options.out} was evaluated with other options: name another --out")
+    return found.cells

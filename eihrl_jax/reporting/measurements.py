@@ -1,0 +1,44 @@
+"""Folder of a low level's measurement: its figures, where its subgoals ended, its postures."""
+
+import json
+
+from eihrl_jax.config import measure as measure_config
+from eihrl_jax.drawing import scatter
+from eihrl_jax.envs import postures, subgoals
+from eihrl_jax.evaluation import measure as measure_lib
+from eihrl_jax.runs import folders, versions
+
+
+def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statistics]:
+    """Measures a low level and fills its folder.
+
+    Args:
+      options: whose, and how long.
+
+    Returns:
+      The statistics by surrounding.
+
+    Raises:
+      base.UserError: the folder isn't free; robot or policy is unknown or doesn't fit; the robot
+        was never upright.
+    """
+    with folders.reserved(options.out):
+        measured = measure_lib.run(options)
+        _write(measured, options)
+    return measured.statistics
+
+
+def _write(measured: measure_lib.Measurement, options: measure_config.MeasureConfig) -> None:
+    """Writes figures, picture and posture bank."""
+    robot = measured.robot
+    document = {name: vars(statistics) for name, statistics in measured.statistics.items()}
+    about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
+    text = json.dumps(document | about | {"versions": versions.describe()}, indent=2)
+    (options.out / subgoals.FILE).write_text(text + "\n")
+
+    ends = measure_lib.end_points(measured.steps)
+    title = f"{robot.name}, {subgoals.OPEN}"
+    scatter.save(options.out / "subgoals.png", ends, title, options.sigma)
+
+    bank = measured.postures(options.num_postures)
+    postures.save(bank, options.out / subgoals.POSTURES, robot)

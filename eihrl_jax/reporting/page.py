@@ -1,0 +1,121 @@
+"""A report as one HTML file that needs nothing else: no network, no other file, no script."""
+
+import base64
+import dataclasses
+import html
+import pathlib
+from collections.abc import Sequence
+
+from eihrl_jax.drawing import palette
+from eihrl_jax.evaluation import tables as tables_lib
+
+_TYPES = {".png": "image/png", ".gif": "image/gif"}
+
+_STYLE = f"""
+:root {{ color-scheme: light; }}
+body {{ margin: 0 auto; max-width: 62rem; padding: 1rem; background: {palette.PAPER};
+  color: {palette.INK}; font: 1rem/1.5 "DejaVu Sans", Verdana, sans-serif; }}
+h1 {{ font-size: 1.6rem; line-height: 1.2; }}
+h2 {{ margin-top: 2.5rem; font-size: 1.2rem; border-bottom: 2px solid {palette.TRAIL}; }}
+p, figcaption {{ color: {palette.INK}; max-width: 46rem; }}
+table {{ border-collapse: collapse; width: 100%; font-size: clamp(0.62rem, 2.3vw, 0.95rem); }}
+caption {{ text-align: left; font-weight: bold; padding: 0.6rem 0 0.3rem; }}
+th, td {{ padding: 0.25em 0.4em; text-align: right; vertical-align: top; }}
+th:first-child, td:first-child {{ text-align: left; padding-left: 0; overflow-wrap: anywhere; }}
+thead th {{ border-bottom: 1px solid {palette.MUTED}; }}
+tbody tr:nth-child(even) {{ background: {palette.FLOOR}; }}
+tr.published td {{ color: #5C6373; font-style: italic; }}
+.pictures {{ display: grid; gap: 1rem;
+  grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); }}
+figure {{ margin: 0; }}
+img {{ max-width: 100%; height: auto; display: block; }}
+figcaption {{ font-size: 0.85rem; }}
+code {{ font-size: 0.85em; overflow-wrap: anywhere; }}
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Picture:
+    """A picture and what it shows.
+
+    Attributes:
+      path: a PNG or GIF file.
+      caption: one or two sentences; also what is read out in its place.
+    """
+
+    path: pathlib.Path
+    caption: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """A part of a report.
+
+    Attributes:
+      title: its heading.
+      text: a paragraph before the rest; empty for none.
+      tables: shown one below the other.
+      pictures: shown after the tables, side by side where there is room.
+    """
+
+    title: str
+    text: str = ""
+    tables: Sequence[tables_lib.Table] = ()
+    pictures: Sequence[Picture] = ()
+
+
+def write(path: pathlib.Path, title: str, lead: str, sections: Sequence[Section]) -> None:
+    """Writes a report.
+
+    Args:
+      path: the HTML file.
+      title: of the page.
+      lead: the paragraph below it.
+      sections: what follows.
+    """
+    body = "\n".join(_section(section) for section in sections)
+    path.write_text(
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{html.escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
+        f"<h1>{html.escape(title)}</h1>\n<p>{html.escape(lead)}</p>\n{body}\n</body>\n</html>\n"
+    )
+
+
+def markdown(sections: Sequence[Section]) -> str:
+    """Returns the tables of a report as Markdown."""
+    return "\n\n".join(table.markdown() for part in sections for table in part.tables) + "\n"
+
+
+def _section(section: Section) -> str:
+    parts = [f"<section>\n<h2>{html.escape(section.title)}</h2>"]
+    if section.text:
+        parts.append(f"<p>{html.escape(section.text)}</p>")
+    parts += [_table(table) for table in section.tables]
+    if section.pictures:
+        figures = "\n".join(_figure(picture) for picture in section.pictures)
+        parts.append(f'<div class="pictures">\n{figures}\n</div>')
+    return "\n".join([*parts, "</section>"])
+
+
+def _table(table: tables_lib.Table) -> str:
+    head = "".join(f'<th scope="col">{html.escape(name)}</th>' for name in table.header)
+    rows = []
+    for row in table.rows:
+        kind = ' class="published"' if row[0].startswith("paper") else ""
+        cells = "".join(f"<td>{html.escape(text)}</td>" for text in row)
+        rows.append(f"<tr{kind}>{cells}</tr>")
+    caption, body = html.escape(table.title), "\n".join(rows)
+    return (
+        f"<table>\n<caption>{caption}</caption>\n<thead><tr>{head}</tr></thead>\n"
+        f"<tbody>\n{body}\n</tbody>\n</table>"
+    )
+
+
+def _figure(picture: Picture) -> str:
+    data = base64.b64encode(picture.path.read_bytes()).decode()
+    kind, caption = _TYPES[picture.path.suffix], html.escape(picture.caption, quote=True)
+    return (
+        f'<figure>\n<img src="data:{kind};base64,{data}" alt="{caption}">\n'
+        f"<figcaption>{caption}</figcaption>\n</figure>"
+    )

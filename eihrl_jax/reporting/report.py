@@ -1,0 +1,75 @@
+"""Puts everything that the paper reports on one page: `python -m experiments.report`."""
+
+import dataclasses
+import pathlib
+
+from eihrl_jax import base
+from eihrl_jax.config import checks
+from eihrl_jax.reporting import comparison, page, sections
+from eihrl_jax.runs import policies
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ReportConfig:
+    """Evaluates trained high levels, and writes report.html and tables.md beside the paper's.
+
+    Evaluations that the folder already holds are taken as they are, so that the command can be
+    stopped and called again.
+
+    Attributes:
+      policies: folder of high levels, `<preset>-<maze>-<seed>` each, as `train_policies` makes
+        them; None: those that are shipped.
+      parts: what to evaluate and show.
+      movement: oracle: the simulator moves the torso; full: the robot walks, which takes most of
+        the time.
+      episodes: per maze and high level.
+      slow_episodes: the same where swimmer or humanoid walk.
+      num_rooms: generated rooms, one episode in each.
+      ablations: folders of `ablate_high`, whose results are shown as they are.
+      peers: folder of runs of `compare_peers`, `<method>-<maze>[-dense]-<seed>` each, whose
+        learning is shown beside that of preset `best`.
+      out: folder of the results.
+    """
+
+    policies: pathlib.Path | None = None
+    parts: tuple[str, ...] = tuple(sections.PARTS)
+    movement: tuple[base.MovementName, ...] = base.MOVEMENTS
+    episodes: int = 500
+    slow_episodes: int = 100
+    num_rooms: int = 1_000
+    ablations: tuple[pathlib.Path, ...] = ()
+    peers: pathlib.Path | None = None
+    out: pathlib.Path = pathlib.Path("runs/report")
+
+    def __post_init__(self) -> None:
+        """Checks names and ranges."""
+        checks.each_of("parts", self.parts, tuple(sections.PARTS))
+        checks.each_of("movement", self.movement, base.MOVEMENTS)
+        checks.in_range("episodes", self.episodes, 1, 1_000_000)
+        checks.in_range("slow_episodes", self.slow_episodes, 1, 1_000_000)
+        checks.in_range("num_rooms", self.num_rooms, 1, 100_000)
+
+
+def main(config: ReportConfig) -> None:
+    """Evaluates what is missing, then writes the page."""
+    runs = sections.Runs(
+        folder=policies.PRETRAINED if config.policies is None else config.policies,
+        out=config.out,
+        movement=config.movement,
+        episodes=config.episodes,
+        slow_episodes=config.slow_episodes,
+        num_rooms=config.num_rooms,
+        ablations=config.ablations,
+        peers=config.peers,
+    )
+    found = [sections.PARTS[part](runs) for part in config.parts]
+    shown = [section for section in found if section.tables or section.pictures]
+    if not shown:
+        for part, folders in (("peers", config.peers), ("ablations", config.ablations)):
+            if config.parts == (part,) and not folders:
+                raise base.UserError(f"parts = {part} needs --{part}, a folder of runs")
+        raise base.UserError(f"policies = {runs.folder} holds no <preset>-<maze>-<seed>")
+    config.out.mkdir(parents=True, exist_ok=True)
+    page.write(config.out / "report.html", "Zero-shot navigation", comparison.NOTE, shown)
+    (config.out / "tables.md").write_text(page.markdown(shown))
+    print(f"written to {config.out / 'report.html'}")

@@ -1,0 +1,328 @@
+"""The parts of `experiments.report`: which evaluations each needs, and what it shows of them."""
+
+import dataclasses
+import itertools
+import pathlib
+from collections.abc import Callable
+
+from eihrl_jax import base
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.drawing import curves
+from eihrl_jax.evaluation import paper, results, tables
+from eihrl_jax.mazes import generators
+from eihrl_jax.reporting import baseline_curves, cached_runs, comparison, page
+
+TABLE1 = tuple(tables.TABLE1_MAZES)
+TRAINED = ("u", "s", "spiral")
+ROBOTS = ("ant", "point", "swimmer", "humanoid")
+SLOW = ("swimmer", "humanoid")
+PRESETS = {"best": "ours, best", "paper": "ours, as in the paper", "generalist": "ours, generalist"}
+"""How the tables call the presets."""
+
+_CURVES = {
+    "sparse": ("success", "success, %", 100.0),
+    "dense": ("success", "success, %", 100.0),
+    "dense, average": ("eval/reward", "reward per decision", 1.0),
+}
+"""What learning curves show: column of the metrics, axis and factor."""
+
+MOVEMENTS = {"oracle": "oracle", "full": "walking"}
+ROOM_SIDE = 9
+
+RAND_H = baseline_curves.RAND_H
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Runs:
+    """The high levels, and the evaluations of them that are there or are made now.
+
+    Attributes:
+      folder: holds the high levels, `<preset>-<maze>-<seed>` each.
+      out: folder of the report.
+      movement: those that are evaluated.
+      episodes: per maze and high level.
+      slow_episodes: the same where swimmer or humanoid walk.
+      num_rooms: generated rooms.
+      ablations: folders that `ablate_high` made.
+      peers: folder of runs of `train_baseline`, `<method>-<maze>[-dense]-<seed>` each.
+    """
+
+    folder: pathlib.Path
+    out: pathlib.Path
+    movement: tuple[str, ...]
+    episodes: int
+    slow_episodes: int
+    num_rooms: int
+    ablations: tuple[pathlib.Path, ...] = ()
+    peers: pathlib.Path | None = None
+
+    def highs(self, trained: str) -> tuple[str, ...]:
+        """Lists the high levels trained alike, e.g. "best-random", one per seed."""
+        return tuple(map(str, cached_runs.seeds_of(self.folder, trained)))
+
+    def metrics(self, trained: str) -> list[pathlib.Path]:
+        """Lists the metrics of the same, in run folders or as shipped."""
+        names = ("metrics.csv", "high_metrics.csv")
+        folders = map(pathlib.Path, self.highs(trained))
+        files = [folder / name for folder in folders for name in names]
+        return [file for file in files if file.exists()]
+
+    def evaluate(
+        self, name: str, high: tuple[str, ...], **options: object
+    ) -> tuple[results.Cell, ...]:
+        """Returns the results of an evaluation, made if it isn't there; none without high level."""
+        if not high:
+            return ()
+        wanted = {"episodes": self.episodes, "movement": self.movement, "high": high}
+        wanted |= {"out": self.out / "evaluations" / name} | options
+        return cached_runs.evaluated(evaluate_config.EvaluateConfig(**wanted))  # pyright: ignore
+
+    def higl(self, name: str, trained_in: str, mazes: tuple[str, ...]) -> tuple[results.Cell, ...]:
+        """Returns the results of HIGL, see `evaluate`; none where nobody walks."""
+        if "full" not in self.movement:
+            return ()
+        highs = self.highs(f"higl-{trained_in}")
+        return self.evaluate(name, highs, mazes=mazes, movement=("full",))
+
+    def picture(self, name: str, pattern: str, caption: str) -> list[page.Picture]:
+        """Returns the first picture of an evaluation whose name fits, if there is one."""
+        found = sorted((self.out / "evaluations" / name).glob(pattern))
+        return [page.Picture(path, caption) for path in found[:1]]
+
+
+def table1(runs: Runs) -> page.Section:
+    """Trained in the Random Square alone, then unchanged in the others."""
+    evaluated = {
+        preset: runs.evaluate(f"table1-{preset}", highs, mazes=TABLE1)
+        for preset, highs, _ in _trained_for_others(runs)
+    }
+    evaluated[RAND_H] = runs.evaluate("table1-random", ("random",), mazes=TABLE1)
+    evaluated["HIGL"] = runs.higl("table1-higl", "random", TABLE1)
+    rows = [
+        comparison.Row("paper, oracle", published=paper.TABLE1["oracle"]),
+        comparison.Row("paper, walking", published=paper.TABLE1["full"]),
+        comparison.Row("paper, HIGL", published=paper.HIGL_TABLE1),
+    ]
+    ours = _rows(evaluated)
+    return page.Section(
+        title="Zero-shot mazes (Table 1)",
+        text="Trained on the Random Square with oracle movement and used unchanged in mazes it has "
+        "never seen; the generalist was trained in random rooms and has seen none of the four.",
+        tables=[
+            comparison.success_by_maze("Table 1", [*rows, *ours], TABLE1),
+            comparison.failures("How episodes of Table 1 ended", ours),
+        ],
+        pictures=[
+            *runs.picture("table1-best", "*full*heatmaps.png", "Where the walking ant was."),
+            *runs.picture("table1-higl", "*heatmaps.png", "Where it was with HIGL (Figure 7)."),
+            *runs.picture("table1-best", "*.gif", "The ant on its way, preset best."),
+        ],
+    )
+
+
+def trained(runs: Runs) -> page.Section:
+    """Trained in the maze itself."""
+    rows = []
+    for preset in ("best", "paper"):
+        cells = [
+            cell
+            for maze in TRAINED
+            for cell in runs.evaluate(
+                f"{maze}-{preset}", runs.highs(f"{preset}-{maze}"), mazes=(maze,)
+            )
+        ]
+        rows += _rows({preset: tuple(cells)})
+    return page.Section(
+        title="Trained in the maze itself",
+        text="U, S and Spiral, with the time limits of the paper's Table 3.",
+        tables=[
+            comparison.success_by_maze("U, S and Spiral", rows, TRAINED),
+            comparison.failures("How their episodes ended", rows),
+        ]
+        if rows
+        else [],
+        pictures=[
+            picture
+            for maze in TRAINED
+            for kind in ("*full*-heatmap.png", "*.gif")
+            for picture in runs.picture(f"{maze}-best", kind, f"The walking ant, {maze}.")
+        ],
+    )
+
+
+def table2(runs: Runs) -> page.Section:
+    """Trained in U with the ant's postures, then with other robots."""
+    rows = [
+        comparison.Row("paper, oracle", published=paper.TABLE2),
+        comparison.Row("paper, HIGL", published=paper.HIGL_TABLE2),
+    ]
+    for preset in ("best", "paper"):
+        highs, cells = runs.highs(f"{preset}-u"), []
+        for movement in runs.movement:
+            for robot in ROBOTS:
+                is_slow = movement == "full" and robot in SLOW
+                cells += runs.evaluate(
+                    f"table2-{preset}-{robot}-{movement}",
+                    highs,
+                    mazes=("u",),
+                    robot=(robot,),
+                    movement=(movement,),
+                    episodes=runs.slow_episodes if is_slow else runs.episodes,
+                )
+        rows += _rows({preset: tuple(cells)})
+    rows += _rows({"HIGL": runs.higl("table2-higl", "u", ("u",))})
+    return page.Section(
+        title="Zero-shot robots (Table 2)",
+        text="Trained in the U-shaped maze as an ant, then unchanged as other robots. Who sees "
+        "postures was shown the ant's and is now shown the others'; preset best sees no robot. "
+        f"Swimmer and humanoid walk {runs.slow_episodes} episodes per high level.",
+        tables=[comparison.success_by_robot("Table 2, Maze-U", rows, ROBOTS)],
+        pictures=[
+            picture
+            for robot in ROBOTS
+            for picture in runs.picture(f"table2-best-{robot}-full", "*.gif", f"The {robot} in U.")
+        ],
+    )
+
+
+def more_time(runs: Runs) -> page.Section:
+    """What more time is worth, and rooms of unseen seeds."""
+    options = {"mazes": TABLE1, "movement": ("oracle",), "num_decisions": 48, "animate": "none"}
+    trained = _trained_for_others(runs)
+    rows = [
+        comparison.Row(label, runs.evaluate(f"twice-{preset}", highs, **options))
+        for preset, highs, label in trained
+    ]
+    rooms = [
+        comparison.Row(label, _in_rooms(runs, preset, highs)) for preset, highs, label in trained
+    ]
+    table = comparison.overall(
+        f"{runs.num_rooms} generated {ROOM_SIDE}x{ROOM_SIDE} rooms of unseen seeds, "
+        "four times the shortest tour",
+        rooms,
+    )
+    return page.Section(
+        title="Twice the time, and generated rooms",
+        text="Oracle movement. What twice the time limit adds was only late before.",
+        tables=[
+            comparison.success_by_maze("Within twice the limit", rows, TABLE1),
+            table,
+        ],
+    )
+
+
+def learning(runs: Runs) -> page.Section:
+    """Learning curves with their range over seeds (paper, Figures 5 and 6)."""
+    pictures = []
+    for maze, (kind, (column, label, scale)) in itertools.product(
+        ("random", *TRAINED, "rooms"), _CURVES.items()
+    ):
+        reward = "-dense" if kind.startswith("dense") else ""
+        drawn = {}
+        for preset, name in PRESETS.items():
+            if files := runs.metrics(f"{preset}-{maze}{reward}"):
+                drawn[name] = [curves.read(path, "num_decisions", column) for path in files]
+        if drawn:
+            runs.out.mkdir(parents=True, exist_ok=True)
+            path = runs.out / f"learning-{maze}-{kind.replace(', ', '-')}.png"
+            curves.save_spread(path, drawn, x_label="decisions", y_label=label, y_scale=scale)
+            caption = f"{maze}, {kind} reward: mean and range over seeds while training."
+            pictures.append(page.Picture(path, caption))
+    return page.Section(
+        title="Learning (Figures 5 and 6)",
+        text="With dense reward, who has reached the last goal is paid 1 for each decision left.",
+        pictures=pictures,
+    )
+
+
+def peers(runs: Runs) -> page.Section:
+    """The baselines' learning beside ours."""
+    return baseline_curves.section(runs.metrics, runs.peers, runs.out)
+
+
+def ablations(runs: Runs) -> page.Section:
+    """What trainings with one thing changed reach, from folders of `ablate_high`."""
+    shown, pictures = [], []
+    for folder in runs.ablations:
+        found = sorted((folder / "evaluations").glob("*/eval.json"), key=_ablation_order)
+        if not found:
+            raise base.UserError(f"ablations = {folder} holds no evaluations/*/eval.json")
+        evaluated = {_variant(path): results.load(path).cells for path in found}
+        rows = [
+            comparison.Row(f"{label}, {name}", here)
+            for movement, name in MOVEMENTS.items()
+            for label, cells in evaluated.items()
+            if (here := comparison.select(cells, movement=movement))
+        ]
+        shown.append(comparison.success_by_maze(f"Ablations: {folder.name}", rows, TABLE1))
+        if (picture := folder / "curves.png").exists():
+            pictures.append(page.Picture(picture, f"Success while training, {folder.name}."))
+    return page.Section(
+        title="One thing changed at a time",
+        text="Trained on the Random Square with one option of the preset changed, then evaluated "
+        "as in Table 1: the oracle with an epsilon of 0.3 units, whatever the training had.",
+        tables=shown,
+        pictures=pictures,
+    )
+
+
+PARTS: dict[str, Callable[[Runs], page.Section]] = {
+    "table1": table1,
+    "trained": trained,
+    "table2": table2,
+    "more_time": more_time,
+    "learning": learning,
+    "peers": peers,
+    "ablations": ablations,
+}
+"""Parts of the report by name, in their order on the page."""
+
+
+def _rows(evaluated: dict[str, tuple[results.Cell, ...]]) -> list[comparison.Row]:
+    """Returns a row for each label and movement that was evaluated."""
+    return [
+        comparison.Row(f"{PRESETS.get(label, label)}, {name}", here)
+        for label, cells in evaluated.items()
+        for movement, name in MOVEMENTS.items()
+        if (here := comparison.select(cells, movement=movement))
+    ]
+
+
+def _trained_for_others(runs: Runs) -> list[tuple[str, tuple[str, ...], str]]:
+    """Lists what is used in mazes that it wasn't trained in: preset, high levels, label."""
+    trained = [
+        (preset, runs.highs(f"{preset}-{'rooms' if preset == 'generalist' else 'random'}"), label)
+        for preset, label in PRESETS.items()
+    ]
+    return [(preset, highs, label) for preset, highs, label in trained if highs]
+
+
+def _in_rooms(runs: Runs, preset: str, highs: tuple[str, ...]) -> tuple[results.Cell, ...]:
+    """Evaluates in generated rooms that nothing was trained in, one episode each."""
+    folder = runs.out / "rooms"
+    files = [folder / f"room-{seed:05d}.txt" for seed in range(runs.num_rooms)]
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed, file in enumerate(files):
+        if not file.exists():
+            file.write_text(generators.random_room(seed, ROOM_SIDE, ROOM_SIDE))
+    return runs.evaluate(
+        f"rooms-{preset}",
+        highs,
+        mazes=tuple(map(str, files)),
+        movement=("oracle",),
+        episodes=1,
+        animate="none",
+        heatmaps=False,
+    )
+
+
+def _ablation_order(path: pathlib.Path) -> tuple[int, str]:
+    """Puts the preset itself first and uniform directions last."""
+    name = _variant(path)
+    return {"preset": 0, RAND_H: 2}.get(name, 1), name
+
+
+def _variant(path: pathlib.Path) -> str:
+    """Returns what `ablate_high` calls the variant whose evaluation this is."""
+    folder = path.parent.name
+    return folder if folder == RAND_H else folder.replace("-", " ")

@@ -1,0 +1,85 @@
+"""Folders that one process fills: free or not, locked against others, files written whole."""
+
+import contextlib
+import fcntl
+import os
+import pathlib
+from collections.abc import Iterator
+
+from eihrl_jax import base
+
+LOCK = ".lock"
+"""Name of the file by which a process keeps others out of its folder."""
+
+_TEMPORARY = ".incomplete-"
+
+
+@contextlib.contextmanager
+def reserved(out: pathlib.Path) -> Iterator[None]:
+    """Makes a folder and keeps other processes out of it, so that nothing can be overwritten.
+
+    A folder in which nothing has been written by the end is removed again.
+
+    Raises:
+      base.UserError: `out` is a file, or a folder with something in it, or being filled.
+    """
+    _check_empty(out)
+    out.mkdir(parents=True, exist_ok=True)
+    lock = take_lock(out)
+    try:
+        _check_empty(out)  # another may have filled it since
+        yield
+    finally:
+        (out / LOCK).unlink()
+        os.close(lock)
+        if not any(out.iterdir()):
+            out.rmdir()
+
+
+def _check_empty(out: pathlib.Path) -> None:
+    if holds_something(out):
+        raise base.UserError(f"out = {out} is not empty; name a new or empty folder")
+
+
+def check_free(path: pathlib.Path, *, resume: bool) -> bool:
+    """Tells whether a folder holds something, which it only may where a run is to go on.
+
+    Raises:
+      UserError: it holds something and `resume` is false, or it is no folder.
+    """
+    is_taken = holds_something(path)
+    if is_taken and not resume:
+        raise base.UserError(f"{path} exists already: go on with --resume or name another --run")
+    return is_taken
+
+
+def holds_something(path: pathlib.Path) -> bool:
+    """Tells whether a folder has more in it than what a killed start leaves.
+
+    Raises:
+      UserError: it is no folder.
+    """
+    if not path.exists():
+        return False
+    if not path.is_dir():
+        raise base.UserError(f"{path} is a file, not a folder")
+    names = [entry.name for entry in path.iterdir()]
+    return any(name != LOCK and not name.startswith(_TEMPORARY) for name in names)
+
+
+def take_lock(path: pathlib.Path) -> int:
+    """Locks the folder for as long as this process lives; a kill gives the lock back."""
+    descriptor = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise base.UserError(f"{path} is being written to by another process") from None
+    return descriptor
+
+
+def write_whole(file: pathlib.Path, text: str) -> None:
+    """Writes a file such that a kill leaves the old one or the new one."""
+    temporary = file.with_name(f"{_TEMPORARY}{file.name}")
+    temporary.write_text(text)
+    temporary.replace(file)

@@ -1,0 +1,136 @@
+"""Final policies: parameters of one level as a small checkpoint, with what is needed to use them.
+
+A policy is a folder with `arrays/` (see `checkpoint`) and `meta.json`: which level (or
+that it is a whole baseline), which robot, sizes of network and view, the config, versions and
+steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run in `<run>/policy`.
+"""
+
+import json
+import pathlib
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal
+
+from eihrl_jax import base
+from eihrl_jax.runs import checkpoint
+
+Kind = Literal["high", "low", "baseline"]
+
+_NOUNS: dict[Kind, str] = {
+    "high": "high-level policy",
+    "low": "low-level policy",
+    "baseline": "baseline",
+}
+
+PRETRAINED = pathlib.Path(__file__).parents[1] / "pretrained"
+"""Folder of the shipped policies."""
+
+FOLDER = "policy"
+"""Name of a run's final policy inside its run folder."""
+
+
+def save(
+    path: pathlib.Path,
+    *,
+    kind: Kind,
+    params: Any,
+    meta: Mapping[str, Any],
+    overwrite: bool = False,
+) -> None:
+    """Writes a policy to the new folder `path`, which appears only when it is complete.
+
+    Args:
+      path: the folder; what a killed save of it left is replaced.
+      kind: the level.
+      params: nested dicts of arrays.
+      meta: JSON values; `robot` is required for the low level.
+      overwrite: replace a policy that is already there, as a run that ends a second time does.
+
+    Raises:
+      UserError: something is already there.
+      ValueError: a low level's robot isn't named.
+    """
+    if kind == "low" and "robot" not in meta:
+        raise ValueError("a low-level policy needs its robot's name in meta")
+    text = json.dumps({"kind": kind, **meta}, indent=2, default=str) + "\n"
+    checkpoint.write(path, {"params": params}, files={"meta.json": text}, overwrite=overwrite)
+
+
+def load(path: pathlib.Path, *, kind: Kind, robot: str | None = None) -> tuple[Any, dict[str, Any]]:
+    """Reads a policy after checking every byte of it.
+
+    Args:
+      path: a folder that `save` wrote; see `find`.
+      kind: the level that is wanted.
+      robot: name of the robot that is wanted, None for any.
+
+    Returns:
+      The parameters, and what `save` got as `meta`.
+
+    Raises:
+      UserError: it is no policy, damaged, or of another level or robot.
+    """
+    meta = json.loads(checkpoint.read_file(path, "meta.json"))
+    if meta["kind"] != kind:
+        raise base.UserError(f"{path} is a {_NOUNS[meta['kind']]}, expected a {_NOUNS[kind]}")
+    if robot is not None and meta.get("robot") != robot:
+        raise base.UserError(
+            f"{path} is a policy of robot {meta.get('robot')!r}, expected {robot!r}"
+        )
+    return checkpoint.read(path)["params"], meta
+
+
+def entry(meta: Mapping[str, Any], name: str, path: pathlib.Path) -> Any:
+    """Returns an entry of a policy's meta.json.
+
+    Args:
+      meta: as `load` returned it.
+      name: of the entry.
+      path: the policy's folder.
+
+    Raises:
+      UserError: there is none.
+    """
+    if name not in meta:
+        raise base.UserError(f"{path}: meta.json lacks {name!r}")
+    return meta[name]
+
+
+def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
+    """Returns the folder of a policy, given a shipped name, a run folder or the folder itself.
+
+    Raises:
+      UserError: there is none.
+    """
+    found = _first(name, (kind,))
+    if found is not None:
+        return found
+    path = pathlib.Path(name)
+    if (path / "config.json").is_file():
+        raise base.UserError(f"{path} holds no final policy yet: its training isn't finished")
+    raise base.UserError(
+        f"{name} is neither a policy nor a finished run; shipped {_NOUNS[kind]} names: "
+        + (", ".join(shipped(kind)) or "none")
+    )
+
+
+def kind_of(name: str | pathlib.Path) -> Kind | None:
+    """Tells what `name`, as `find` takes it, holds; None if it holds no policy.
+
+    Raises:
+      UserError: it holds a damaged one.
+    """
+    found = _first(name, _NOUNS)
+    return None if found is None else json.loads(checkpoint.read_file(found, "meta.json"))["kind"]
+
+
+def _first(name: str | pathlib.Path, kinds: Iterable[Kind]) -> pathlib.Path | None:
+    """Returns the first complete policy's folder among the places that `name` may mean."""
+    path = pathlib.Path(name)
+    places = (path, path / FOLDER, *(PRETRAINED / name / kind for kind in kinds))
+    return next((place for place in places if checkpoint.is_complete(place)), None)
+
+
+def shipped(kind: Kind) -> list[str]:
+    """Names of the shipped policies of one level."""
+    folders = sorted(PRETRAINED.glob(f"*/{kind}"))
+    return [folder.parent.name for folder in folders if checkpoint.is_complete(folder)]

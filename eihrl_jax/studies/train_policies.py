@@ -1,0 +1,76 @@
+"""Trains every shipped high level again: `python -m experiments.train_policies`."""
+
+import dataclasses
+import itertools
+import pathlib
+import shutil
+
+from eihrl_jax import base, mazes
+from eihrl_jax.config import checks, presets
+from eihrl_jax.config import high as high_config
+from eihrl_jax.reporting import cached_runs
+from eihrl_jax.runs import policies
+from eihrl_jax.training import high
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PoliciesConfig:
+    """Trains high levels, each preset in each maze with each seed.
+
+    A run that the folder already holds is continued, or taken as it is if it is finished. The
+    generalist has random rooms of its own and is trained once per seed.
+
+    Attributes:
+      presets: of `train_high`.
+      mazes: names of mazes.
+      rewards: sparse, dense or both (paper, App. D).
+      seeds: of the training runs.
+      out: folder of the runs, `<preset>-<maze>-<seed>` each, `<preset>-<maze>-dense-<seed>` where
+        the reward is dense.
+      ship: copy what is finished into the package, in place of what is shipped.
+    """
+
+    presets: tuple[str, ...] = tuple(presets.HIGH)
+    mazes: tuple[str, ...] = cached_runs.MAZES
+    rewards: tuple[base.Reward, ...] = ("sparse",)
+    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    out: pathlib.Path = pathlib.Path("runs/policies")
+    ship: bool = False
+
+    def __post_init__(self) -> None:
+        """Checks names and ranges."""
+        checks.each_of("presets", self.presets, tuple(presets.HIGH))
+        checks.each_of("mazes", self.mazes, mazes.NAMES)
+        checks.each_of("rewards", self.rewards, base.REWARDS)
+        checks.seeds(self.seeds)
+
+
+def main(config: PoliciesConfig) -> None:
+    """Trains what is missing, the first seed of everything first."""
+    for seed in config.seeds:
+        for options in _options(config, seed):
+            cached_runs.finish(options, high.train)
+            if config.ship:
+                ship(options.run)
+
+
+def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
+    """Lists the options of all runs with one seed."""
+    runs = []
+    for name, reward in itertools.product(config.presets, config.rewards):
+        preset = presets.HIGH[name]
+        for maze in ("rooms",) if preset.task.num_rooms else config.mazes:
+            task = dataclasses.replace(preset.task, reward=reward)
+            if not task.num_rooms:
+                task = dataclasses.replace(task, maze=maze)
+            run = config.out / cached_runs.name(name, maze, reward, seed)
+            runs.append(dataclasses.replace(preset, task=task, seed=seed, run=run, resume=True))
+    return runs
+
+
+def ship(run: pathlib.Path) -> None:
+    """Copies the policy of a finished run, and its metrics, into the package."""
+    target = policies.PRETRAINED / run.name
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(run / policies.FOLDER, target / "high")
+    shutil.copy(run / "metrics.csv", target / "high_metrics.csv")

@@ -1,0 +1,144 @@
+"""The shell of the command lines: presets, help, one clear line for a mistake, exit codes."""
+
+import dataclasses
+import pathlib
+from typing import Literal
+
+import pytest
+
+from eihrl_jax import base
+from eihrl_jax.cli import shell
+from eihrl_jax.config import checks
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Options:
+    """Trains something.
+
+    Attributes:
+      preset: named defaults.
+      learning_rate: of Adam.
+      engine: of the physics.
+      run: folder of the run.
+      resume: go on with it.
+    """
+
+    preset: str = "paper"
+    learning_rate: float = 1e-3
+    engine: Literal["mjx", "mujoco"] = "mjx"
+    run: pathlib.Path = pathlib.Path("runs/x")
+    resume: bool = False
+
+    def __post_init__(self):
+        checks.in_range("learning_rate", self.learning_rate, above=0.0)
+
+
+PRESETS = {"paper": Options(), "best": Options(preset="best", learning_rate=0.25)}
+
+
+@pytest.fixture(autouse=True)
+def no_compilation_cache(monkeypatch):
+    """Keeps the tests' JAX as it is."""
+    monkeypatch.setattr(shell, "_set_compilation_cache", lambda: None)
+
+
+def parsed(*arguments, presets=PRESETS):
+    found = []
+    shell.run(shell.Command(found.append, Options, presets), arguments, "test")
+    return found[0]
+
+
+def failure(capsys, *arguments):
+    """Exit code and lines on stderr of a command line that must fail."""
+    with pytest.raises(SystemExit) as end:
+        parsed(*arguments)
+    output = capsys.readouterr()
+    assert output.out == ""
+    return end.value.code, output.err.splitlines()
+
+
+def test_defaults_are_those_of_the_first_preset():
+    assert parsed() == PRESETS["paper"]
+
+
+@pytest.mark.parametrize("arguments", [("--preset", "best"), ("--preset=best",)])
+def test_preset_sets_defaults_that_options_change(arguments):
+    assert parsed(*arguments) == PRESETS["best"]
+    changed = parsed("--resume", *arguments, "--learning-rate", "0.5")
+    assert changed == Options(preset="best", learning_rate=0.5, resume=True)
+
+
+def test_help_shows_the_defaults_of_the_preset(capsys):
+    with pytest.raises(SystemExit) as end:
+        parsed("--help", "--preset", "best")
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert "default: 0.25" in text
+    assert "of Adam" in text
+
+
+def test_without_presets_the_defaults_are_those_of_the_class():
+    assert parsed(presets={}) == Options()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--preset", "fast"), ["--preset", "fast", "paper, best"]),
+        (("--preset",), ["--preset", "paper, best"]),
+        (("--learning-rate", "-1"), ["learning_rate = -1.0", "greater than 0.0"]),
+        (("--learning-rate", "x"), ["--learning-rate", "'x'"]),
+        (("--learning-rate",), ["--learning-rate"]),
+        (("--engine", "ode"), ["--engine", "'ode'", "mjx", "mujoco"]),
+        (("--speed", "3"), ["--speed"]),
+        (("extra",), ["extra"]),
+    ],
+)
+def test_mistake_gets_one_line_and_exit_code_2(capsys, arguments, words):
+    code, lines = failure(capsys, *arguments)
+    assert code == 2
+    assert len(lines) == 1
+    assert lines[0].startswith("error: ")
+    assert all(word in lines[0] for word in words), lines[0]
+
+
+def test_users_mistake_found_later_gets_one_line(capsys):
+    def main(_):
+        raise base.UserError("maze has no start")
+
+    with pytest.raises(SystemExit) as end:
+        shell.run(shell.Command(main, Options, PRESETS), [], "test")
+    assert end.value.code == 2
+    assert capsys.readouterr().err == "error: maze has no start\n"
+
+
+def test_a_place_that_cannot_be_written_to_gets_one_line(tmp_path, capsys):
+    (tmp_path / "file").touch()
+
+    def main(_):
+        (tmp_path / "file" / "run").mkdir(parents=True)
+
+    with pytest.raises(SystemExit) as end:
+        shell.run(shell.Command(main, Options, PRESETS), [], "test")
+    assert end.value.code == 2
+    assert capsys.readouterr().err.splitlines() == [
+        f"error: {tmp_path / 'file' / 'run'}: Not a directory"
+    ]
+
+
+def test_programming_error_keeps_its_traceback():
+    def main(_):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        shell.run(shell.Command(main, Options, PRESETS), [], "test")
+
+
+def test_interrupt(capsys):
+    def main(_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(SystemExit) as end:
+        shell.run(shell.Command(main, Options, PRESETS), [], "test")
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "interrupted\n"

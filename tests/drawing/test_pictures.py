@@ -1,0 +1,279 @@
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+from eihrl_jax import base, mazes
+from eihrl_jax.drawing import animation, curves, heatmap, palette, picture, raycast
+from eihrl_jax.evaluation import recording as recording_lib
+from eihrl_jax.evaluation import rollouts
+from eihrl_jax.reporting import learning_curve
+
+TEXT = """\
+####1###
+#......#
+#.##...#
+#S.....#
+########
+"""
+
+
+@pytest.fixture(scope="module")
+def maze():
+    return mazes.parse(TEXT)
+
+
+@pytest.fixture(scope="module")
+def backdrop(maze):
+    return picture.draw_maze(maze, width=160, height=112)
+
+
+def pixel(backdrop, x, y, z):
+    """Returns row and column of a point of the world in the backdrop."""
+    at = np.asarray(raycast.project(backdrop.camera, jnp.array([[x, y, z]])))[0]
+    return int(at[1]), int(at[0])
+
+
+def opened(path):
+    """Returns a picture as an array."""
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def ray(x, y, z):
+    one = jnp.ones((1, 1))
+    return x * one, y * one, z * one
+
+
+def test_camera_projects_where_its_rays_go():
+    camera = picture.fit_camera(9, 9, width=300, height=200)
+    direction = raycast.pixel_rays(camera, jnp.array([40, 60]), height=5, width=7)
+    eye = raycast.vector(camera.position)
+    point = raycast.along(eye, direction, jnp.full((5, 7), 30.0))
+    xyz = jnp.stack([component[3, 2] for component in point])[None]
+    np.testing.assert_allclose(raycast.project(camera, xyz)[0], (42.5, 63.5), atol=0.02)
+
+
+def test_whole_maze_is_in_the_picture():
+    camera = picture.fit_camera(9, 14, width=300, height=200)
+    low, high = picture.drawn_area(9, 14)
+    corners = np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T
+    at = np.asarray(raycast.project(camera, jnp.asarray(corners)))
+    assert (at >= 0).all()
+    assert (at <= (300, 200)).all()
+
+
+def test_ray_meets_box_at_the_near_face():
+    low, high = jnp.array([[2.0, -1.0, -1.0]]), jnp.array([[4.0, 1.0, 1.0]])
+    origin = tuple(jnp.zeros(()) for _ in range(3))
+    hit = raycast.boxes(origin, ray(1.0, 0.0, 0.0), low, high)
+    assert hit.distance[0, 0] == 2.0
+    assert [float(n[0, 0]) for n in hit.normal] == [-1.0, 0.0, 0.0]
+    assert raycast.boxes(origin, ray(-1.0, 0.0, 0.0), low, high).index[0, 0] == -1
+
+
+@pytest.mark.parametrize(
+    ("height", "distance"), [(0.0, 4.5), (1.0, 4.5), (1.3, 4.6), (1.6, raycast.FAR)]
+)
+def test_ray_meets_side_and_cap_of_a_capsule(height, distance):
+    start, end = jnp.array([[5.0, 0.0, -1.0]]), jnp.array([[5.0, 0.0, 1.0]])
+    origin = (jnp.zeros(()), jnp.zeros(()), jnp.float32(height))
+    hit = raycast.capsules(origin, ray(1.0, 0.0, 0.0), start, end, jnp.array([0.5]))
+    assert hit.distance[0, 0] == pytest.approx(distance, abs=1e-5)
+    if distance < raycast.FAR:
+        normal = np.array([float(n[0, 0]) for n in hit.normal])
+        centre = np.array([5.0, 0.0, min(height, 1.0)])
+        np.testing.assert_allclose(centre + 0.5 * normal, (distance, 0.0, height), atol=1e-5)
+
+
+def test_rectangles_cover_the_walls_once(maze):
+    wall = np.asarray(maze.wall)
+    covered = np.zeros(wall.shape, int)
+    for i0, j0, i1, j1 in picture.wall_rectangles(wall):
+        covered[i0:i1, j0:j1] += 1
+    np.testing.assert_array_equal(covered, wall)
+    assert len(picture.wall_rectangles(wall)) < wall.sum() / 2
+
+
+def test_walls_goals_and_floor_are_where_the_maze_has_them(maze, backdrop):
+    for i, j in np.ndindex(*maze.wall.shape):
+        x, y = (j + 0.5) * base.CELL, -(i + 0.5) * base.CELL
+        on_ring = i in (0, 4) or j in (0, 7)
+        if maze.wall[i, j] and not on_ring:
+            row, column = pixel(backdrop, x, y, picture.WALL_HEIGHT)
+            assert not backdrop.is_floor[row, column]
+            blue_over_red = backdrop.colour[row, column, 2] / backdrop.colour[row, column, 0]
+            assert blue_over_red == pytest.approx(0x8C / 0x66, rel=0.02)
+        elif not on_ring:
+            row, column = pixel(backdrop, x, y, 0.0)
+            assert backdrop.is_floor[row, column]
+            assert backdrop.goal[row, column] == 0
+    row, column = pixel(backdrop, 4.5 * base.CELL, -base.CELL + 0.6, 0.0)
+    assert backdrop.goal[row, column] == 1
+
+
+def test_robot_is_drawn_where_it_is_and_hidden_by_walls(backdrop):
+    def differs(x, y):
+        canvas = backdrop.colour.copy()
+        centre = jnp.array([[x, y, 0.3]])
+        ball = (centre, centre, jnp.array([0.3]))
+        picture.place_robot(canvas, backdrop, ball, reach=1.2)
+        return (np.abs(canvas - backdrop.colour) > 1e-3).any(-1)
+
+    seen = differs(6 * base.CELL, -2.5 * base.CELL)
+    row, column = pixel(backdrop, 6 * base.CELL, -2.5 * base.CELL, 0.3)
+    assert seen[row, column]
+    rows, columns = np.nonzero(seen)
+    assert np.hypot(rows - row, columns - column).max() < 1.3 * backdrop.pixels_per_unit
+    inside_wall = differs(2.5 * base.CELL, -2.5 * base.CELL)
+    assert not inside_wall.any()
+
+
+def test_finished_picture_averages():
+    canvas = np.zeros((4, 6, 3), np.float32)
+    canvas[:2, :2] = 1.0
+    canvas[2, 2] = 1.0
+    image = picture.finish(canvas)
+    assert image.shape == (2, 3, 3)
+    assert image[0, 0, 0] == 255
+    assert image[1, 1, 0] == 64
+
+
+def ball(qpos):
+    centre = jnp.array([[0.0, 0.0, 0.3]]).at[0, :2].set(qpos[:2])
+    return centre, centre, jnp.array([0.4])
+
+
+@pytest.fixture(scope="module")
+def recording(maze):
+    path = [(1.5, -10.5), (4.5, -10.5), (13.5, -10.5), (13.5, -4.5), (13.5, -2.0)]
+    qpos = np.array(path, np.float32)
+    patch = np.zeros((2, 5, 5, 3), bool)
+    patch[:, 0, :, 0] = True
+    return recording_lib.Recording(
+        maze=maze,
+        qpos=qpos,
+        decision=np.array([0, 0, 0, 1, 1]),
+        direction=np.array([0, 2]),
+        patch=patch,
+        is_fallen=np.zeros(5, bool),
+    )
+
+
+def test_animation_has_a_frame_per_move(tmp_path, recording):
+    path = tmp_path / "episode.gif"
+    animation.save(path, recording, ball, title="mine", reach=0.5)
+    with Image.open(path) as image:
+        assert image.n_frames == 5
+        assert image.info["loop"] == 0
+    assert path.stat().st_size < 300_000
+
+
+def test_goal_changes_colour_when_it_is_reached(recording):
+    frames = list(animation.render(recording, ball, title="mine", reach=0.5))
+    size = {"width": 2 * animation.MAZE_SIZE[0], "height": 2 * animation.MAZE_SIZE[1]}
+    camera = picture.fit_camera(*recording.maze.wall.shape, **size)
+    at = np.asarray(raycast.project(camera, jnp.array([[14.5, -2.6, 0.0]])))[0] / 2
+    before, after = (frame[int(at[1]), int(at[0])].astype(int) for frame in frames[-2:])
+    assert before[0] > before[1]  # amber
+    assert after[1] > after[0]  # green
+
+
+def test_heatmap_shows_visits_and_walls(tmp_path, maze):
+    bins = rollouts.BINS_PER_CELL
+    share = np.zeros((5 * bins, 8 * bins))
+    share[bins : 2 * bins, bins : 2 * bins] = 1.0
+    visits = heatmap.Visits("mine", maze, share)
+    heatmap.save(tmp_path / "one.png", visits)
+    heatmap.save_together(tmp_path / "all.png", [visits, visits])
+    pixels = opened(tmp_path / "one.png").reshape(-1, 3)
+    wall = np.round(255 * palette.rgb(palette.WALL))
+    assert (np.abs(pixels - wall) <= 1).all(-1).mean() > 0.1
+    assert opened(tmp_path / "all.png").shape[1] > 800
+
+
+def test_heatmap_of_nothing_is_drawn(tmp_path, maze):
+    bins = rollouts.BINS_PER_CELL
+    visits = heatmap.Visits("mine", maze, np.zeros((5 * bins, 8 * bins)))
+    heatmap.save(tmp_path / "none.png", visits)
+
+
+def test_smoothing_keeps_a_constant_and_narrows_at_the_ends():
+    np.testing.assert_allclose(curves.smooth(np.full(7, 3.0), 5), 3.0)
+    np.testing.assert_allclose(curves.smooth(np.arange(5.0), 3), [0.5, 1, 2, 3, 3.5])
+
+
+def test_curve_is_read_and_drawn(tmp_path):
+    path = tmp_path / "metrics.csv"
+    path.write_text("step,decisions,success\n1,100,0.1\n2,200,\n3,300,0.5\n")
+    points = curves.read(path, "decisions", "success")
+    np.testing.assert_array_equal(points, [[100, 0.1], [300, 0.5]])
+    curves.save(tmp_path / "curve.png", {"run": points}, x_label="decisions", y_label="success")
+    assert opened(tmp_path / "curve.png").shape[1] > 500
+
+
+def test_groups_of_curves_are_drawn_as_far_as_the_shortest_goes(tmp_path):
+    rising = np.stack([np.arange(1.0, 9.0), np.arange(8.0)], -1)
+    path = tmp_path / "spread.png"
+    groups = {"one": [rising, rising[:5] + 1.0], "other": [rising]}
+    curves.save_spread(path, groups, x_label="updates", y_label="distance")
+    assert opened(path).shape[1] > 500
+
+
+def test_curves_are_compared_at_the_same_places_and_no_farther():
+    line = np.array([[0.0, 0.0], [10.0, 10.0], [20.0, 20.0]])
+    other = np.array([[5.0, 1.0], [15.0, 3.0]])
+    x, y = curves.aligned([line, other])
+    np.testing.assert_array_equal(x, [5.0, 15.0])
+    np.testing.assert_array_equal(y, [[5.0, 15.0], [1.0, 3.0]])
+    x, y = curves.aligned([line, line + np.array([0.0, 1.0])])
+    np.testing.assert_array_equal(y, [line[:, 1], line[:, 1] + 1.0])
+
+
+def test_a_label_keeps_its_line_in_pictures_that_are_seen_together(tmp_path):
+    rising = np.stack([np.arange(1.0, 9.0), np.arange(8.0)], -1)
+    has = {}
+    for name, groups in {"both": ("one", "other"), "one": ("one",), "other": ("other",)}.items():
+        drawn = {group: [rising] for group in groups}
+        path = tmp_path / f"{name}.png"
+        curves.save_spread(path, drawn, x_label="x", y_label="y", labels=("one", "other"))
+        pixels = {tuple(row) for row in opened(path).reshape(-1, 3).tolist()}
+        wanted = [tuple(bytes.fromhex(colour[1:])) for colour in palette.CURVE[:3]]
+        has[name] = [colour in pixels for colour in wanted]
+    assert has == {
+        "both": [True, True, False],
+        "one": [True, False, False],
+        "other": [False, True, False],
+    }
+
+
+def test_curves_upon_each_other_all_show_at_zero_too(tmp_path):
+    nothing = np.stack([np.arange(1.0, 9.0), np.zeros(8)], -1)
+    path = tmp_path / "nothing.png"
+    groups = {"one": [nothing], "other": [nothing], "third": [nothing]}
+    curves.save_spread(path, groups, x_label="x", y_label="y")
+    picture = opened(path)
+    below_legend = picture[len(picture) // 5 :]
+    for colour in palette.CURVE[:3]:
+        drawn = (below_legend == tuple(bytes.fromhex(colour[1:]))).all(-1)
+        assert drawn.sum() > 100
+
+
+def test_learning_curve_of_a_run(tmp_path):
+    rows = ["step,num_decisions,success,eval/success", "1,100,0.1,", "2,200,nan,0.3", "3,300,0.5,"]
+    (tmp_path / "metrics.csv").write_text("\n".join(rows))
+    path = learning_curve.draw(tmp_path)
+    assert path.parent == tmp_path
+    assert opened(path).shape[1] > 500
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("a,b\n1,2\n", "no column"), ("decisions,success\n", "no values"), (None, "can't be read")],
+)
+def test_unusable_metrics_are_refused(tmp_path, text, message):
+    path = tmp_path / "metrics.csv"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(base.UserError, match=message):
+        curves.read(path, "decisions", "success")

@@ -1,0 +1,280 @@
+import csv
+import dataclasses
+import json
+import shutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from PIL import Image
+
+from eihrl_jax import base, mazes, robots
+from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.envs import locomotion, low_obs, raster, subgoals
+from eihrl_jax.evaluation import results, rollouts, systems
+from eihrl_jax.networks import droq, patch_actor_critic
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.reporting import evaluations
+from eihrl_jax.runs import folders, policies, progress
+
+OWN_MAZE = "#####\n#S.1#\n#...#\n#2..#\n#####\n"
+NETWORK = {"tile": 3, "tile_features": 2, "hidden": [4]}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a tiny random policy of each level and a maze."""
+    path = tmp_path_factory.mktemp("evaluate")
+    (path / "own.txt").write_text(OWN_MAZE)
+    network = patch_actor_critic.PatchActorCritic(tile=3, tile_features=2, hidden=(4,))
+    params = network.init(jax.random.key(0), jnp.zeros((9, 9, 3), bool))
+    view = {"extent": 9.0, "pixels": 9}
+    policies.save(
+        path / "high", kind="high", params=params, meta={"view": view, "network": NETWORK}
+    )
+    robot = robots.load("point")
+    engine = engine_lib.make(robot)
+    physics = locomotion.draw_pose(engine, jnp.zeros(2), jax.random.key(0))
+    obs = low_obs.observe(physics, jnp.zeros(2), jnp.int32(1), jnp.int32(0), robot)
+    num_features = len(low_obs.features(obs, robot, systems.low_config.LowInput()))
+    actor = droq.Actor(engine.model.nu, (4,))
+    params = actor.init(jax.random.key(1), jnp.zeros((1, num_features)))["params"]
+    meta = {
+        "robot": "point",
+        "low_input": {"frame": "world", "use_progress": False},
+        "hidden": [4],
+        "num_features": num_features,
+        "num_actions": engine.model.nu,
+    }
+    policies.save(path / "low", kind="low", params=params, meta=meta)
+    policies.save(path / "wrong", kind="low", params=params, meta=meta | {"hidden": [5]})
+    return path
+
+
+@pytest.fixture(scope="module")
+def options(folder):
+    return evaluate_config.EvaluateConfig(
+        mazes=("random", str(folder / "own.txt")),
+        robot=("point",),
+        high=(str(folder / "high"),),
+        low=(str(folder / "low"),),
+        episodes=4,
+        seeds=(5, 6),
+        num_decisions=3,
+        out=folder / "out",
+    )
+
+
+@pytest.fixture(scope="module")
+def evaluation(options):
+    return evaluations.evaluate(options)
+
+
+def test_every_system_is_evaluated_in_every_maze(evaluation, folder):
+    found = [(cell.maze, cell.system.movement, cell.system.high) for cell in evaluation.cells]
+    high = str(folder / "high")
+    assert found == [
+        (maze, movement, high) for movement in ("oracle", "full") for maze in ("random", "own")
+    ]
+    for cell in evaluation.cells:
+        assert cell.num_episodes == 8
+        assert cell.seeds == (5, 6)
+        assert cell.num_goals == (2 if cell.maze == "own" else 1)
+        assert cell.num_decisions == 3
+        assert cell.success.low <= cell.success.rate <= cell.success.high
+        assert cell.decisions_mean <= 3
+
+
+def test_files_tell_the_same(evaluation, options):
+    assert results.load(options.out / "eval.json") == evaluation
+    about = json.loads((options.out / "eval.json").read_text())["about"]
+    assert about["config"]["episodes"] == 4
+    with (options.out / "episodes.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 8 * 4
+    for cell in evaluation.cells:
+        place = (cell.maze, cell.system.movement)
+        mine = [row for row in rows if (row["maze"], row["movement"]) == place]
+        achieved = np.array([int(row["achieved"]) for row in mine])
+        assert achieved.mean() / cell.num_goals == cell.success.rate
+        assert achieved.max() <= cell.num_goals
+        assert [float(row["return"]) for row in mine] == achieved.tolist()
+    assert "own" in (options.out / "tables.md").read_text()
+
+
+def test_pictures_are_written(evaluation, options):
+    del evaluation
+    names = sorted(path.name for path in options.out.glob("*.png"))
+    labels = ("point-full-high", "point-oracle-high")
+    expected = [f"{label}-heatmaps.png" for label in labels]
+    expected += [f"{label}-{maze}-heatmap.png" for label in labels for maze in ("own", "random")]
+    assert names == sorted(expected)
+    (gif,) = options.out.glob("*.gif")
+    with Image.open(gif) as image:
+        assert image.n_frames > 10
+
+
+def test_nothing_is_overwritten(evaluation, options):
+    del evaluation
+    before = {path: path.stat().st_mtime_ns for path in options.out.iterdir()}
+    with pytest.raises(base.UserError, match="not empty"):
+        evaluations.evaluate(options)
+    assert {path: path.stat().st_mtime_ns for path in options.out.iterdir()} == before
+
+
+def random_walk(num_episodes, *, seeds=(0,), num_recorded=0):
+    """Returns the episodes of uniform directions in the Random Square, without noise."""
+    chosen = {"random": mazes.load("random")}
+    view = raster.View()
+    robot = robots.load("point")
+    walking = subgoals.walking(robot, None, 3.0, 0.0)
+    env = systems.oracle(robot, mazes.stack(list(chosen.values())), view, walking=walking)
+    plan = rollouts.Plan(
+        mazes=chosen, seeds=seeds, num_episodes=num_episodes, num_recorded=num_recorded
+    )
+    high = systems.load_high("random")
+    with progress.Progress("walk", plan.num_decisions) as bar:
+        return rollouts.Runner(env, plan).run(high.policy, bar)[0]["random"]
+
+
+def test_random_walk_succeeds_as_often_as_on_the_grid():
+    # A uniform random walk from cell to cell finds the door within 24 moves 7.6 times in 100.
+    episodes = random_walk(1500).episodes
+    found = results.summarise(
+        "random",
+        results.System(robot="point", movement="oracle", high="random", low=None),
+        episodes,
+        num_goals=1,
+        num_decisions=24,
+    )
+    assert found.success.low < 0.076 < found.success.high
+
+
+def test_batches_change_nothing(monkeypatch):
+    together = random_walk(6, seeds=(0, 1), num_recorded=2)
+    monkeypatch.setattr(rollouts, "MAX_ROWS", 5)
+    apart = random_walk(6, seeds=(0, 1), num_recorded=2)
+    for field in dataclasses.fields(results.Episodes):
+        np.testing.assert_array_equal(
+            getattr(together.episodes, field.name), getattr(apart.episodes, field.name)
+        )
+    np.testing.assert_array_equal(together.share, apart.share)
+    assert len(together.recordings) == len(apart.recordings) == 2
+    np.testing.assert_array_equal(together.recordings[1].qpos, apart.recordings[1].qpos)
+
+
+def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, monkeypatch):
+    robot, chosen = robots.load("point"), {"u": mazes.load("u", num_decisions=2)}
+    high = systems.load_high(str(folder / "high"))
+    walking = subgoals.walking(robot, None, 3.0, 0.0)
+    env = systems.oracle(robot, mazes.stack(list(chosen.values())), high.view, walking=walking)
+    plan = rollouts.Plan(mazes=chosen, seeds=(0,), num_episodes=3, num_recorded=1)
+    runner = rollouts.Runner(env, plan)
+    compiled = []
+    original = rollouts.Runner._compile
+    monkeypatch.setattr(
+        rollouts.Runner, "_compile", lambda *args: compiled.append(1) or original(*args)
+    )
+
+    def directions(policy):
+        with progress.Progress("walk", plan.num_decisions) as bar:
+            found, _ = runner.run(policy, bar)
+        return found["u"].recordings[0].direction.tolist()
+
+    (params,) = high.policy.args
+    for direction in range(4):
+        bias = params["params"]["logits"]["bias"].at[direction].set(1e6)
+        layers = params["params"] | {"logits": params["params"]["logits"] | {"bias": bias}}
+        policy = jax.tree_util.Partial(high.policy.func, {"params": layers})
+        assert directions(policy) == [direction] * 2
+    assert len(compiled) == 1
+    directions(systems.load_high(str(folder / "high"), greedy=True).policy)
+    assert len(compiled) == 2
+
+
+def test_only_running_episodes_leave_traces():
+    rollout = random_walk(40, num_recorded=40)
+    count = np.zeros(rollout.share.shape)
+    for recording, decisions in zip(rollout.recordings, rollout.episodes.decisions, strict=True):
+        assert len(recording.direction) == len(recording.patch) == decisions
+        assert len(recording.qpos) == 6 * decisions
+        x, y = recording.qpos[:, :2].T
+        bins = np.stack([-y, x]) / (base.CELL / 6)
+        count[tuple(np.unique(np.floor(bins).astype(int), axis=1))] += 1
+    np.testing.assert_allclose(rollout.share, count / 40)
+    typical = evaluations.typical(rollout)
+    solved = rollout.episodes.achieved == 1
+    if solved.any():
+        assert len(typical.direction) in rollout.episodes.decisions[solved]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"episodes": 0}, "episodes = 0"),
+        ({"seeds": (-1,)}, "seeds = -1"),
+        ({"seeds": (1, 1)}, "seeds names 1 more than once"),
+        ({"mazes": ()}, "mazes is empty"),
+        ({"movement": ("walking",)}, "movement = 'walking' must be one of oracle, full"),
+        ({"engine": "ode"}, "engine = 'ode' must be one of mujoco, mjx"),
+        ({"animate": "some"}, "animate = 'some' must be one of one, all, none"),
+        ({"num_decisions": 0}, "num_decisions = 0"),
+        ({"reward": "fat"}, "reward = 'fat' must be one of sparse, dense"),
+        ({"low": ("a", "b")}, "low names 2 policies for 1 robots"),
+        ({"low": ("a",), "movement": ("oracle",)}, "low = a is of full movement"),
+        ({"sigma": 0.2, "movement": ("full",)}, "sigma = 0.2 is of oracle movement"),
+    ],
+)
+def test_options_out_of_range_are_refused(change, message):
+    with pytest.raises(base.UserError, match=message):
+        evaluate_config.EvaluateConfig(**change)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"mazes": ("nowhere",)}, "nowhere"),
+        ({"robot": ("cat",), "low": ()}, "cat"),
+        ({"high": ("no/such/run",)}, "no/such/run"),
+        ({"low": ("no/such/run",)}, "no/such/run"),
+        ({"sigma": -1.0}, "sigma = -1.0"),
+    ],
+)
+def test_unknown_things_are_refused_before_anything_is_written(options, tmp_path, change, message):
+    changed = dataclasses.replace(options, out=tmp_path / "out", **change)
+    with pytest.raises(base.UserError, match=message):
+        evaluations.evaluate(changed)
+    assert not changed.out.exists()
+
+
+def test_systems_whose_files_would_have_the_same_name_are_refused(options, folder, tmp_path):
+    shutil.copytree(folder / "high", tmp_path / "other" / "high")
+    both = (str(folder / "high"), str(tmp_path / "other" / "high"))
+    changed = dataclasses.replace(options, out=tmp_path / "out", high=both)
+    with pytest.raises(base.UserError, match="the same name, point-oracle-high"):
+        evaluations.evaluate(changed)
+
+
+def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path):
+    out = tmp_path / "deep" / "out"
+    with folders.reserved(out):
+        with pytest.raises(base.UserError, match="being written to by another process"):
+            with folders.reserved(out):
+                pass
+    assert not out.exists()  # nothing was written
+    with folders.reserved(out):
+        (out / "eval.json").touch()
+    assert [file.name for file in out.iterdir()] == ["eval.json"]
+    with pytest.raises(base.UserError, match="not empty"):
+        with folders.reserved(out):
+            pass
+
+
+def test_policies_that_do_not_fit_are_refused(folder):
+    with pytest.raises(base.UserError, match="expected 'ant'"):
+        systems.load_low(str(folder / "low"), robots.load("ant"))
+    with pytest.raises(base.UserError, match=r"holds another network or state: .* expected"):
+        systems.load_low(str(folder / "wrong"), robots.load("point"))
+    with pytest.raises(base.UserError, match="expected a high-level"):
+        systems.load_high(str(folder / "low"))

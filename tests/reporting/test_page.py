@@ -1,0 +1,117 @@
+"""Comparisons of evaluations, and the page they stand on."""
+
+import dataclasses
+import html.parser
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from eihrl_jax.evaluation import results, tables
+from eihrl_jax.reporting import comparison, page
+
+ANT = results.System(robot="ant", movement="oracle", high="0", low=None)
+
+
+def cell(maze, achieved, **system):
+    num = len(achieved)
+    episodes = results.Episodes(
+        achieved=np.array(achieved),
+        returns=np.zeros(num),
+        decisions=np.ones(num, int),
+        has_fallen=np.arange(num) == 0,
+        is_unstable=np.zeros(num, bool),
+        seed=np.zeros(num, int),
+    )
+    system = dataclasses.replace(ANT, **system)
+    return results.summarise(maze, system, episodes, num_goals=1, num_decisions=24)
+
+
+CELLS = [
+    cell("g1", (1, 1, 1, 1), high="0"),
+    cell("g1", (0, 1, 0, 1), high="1"),
+    cell("g2", (0, 0, 1, 1), high="0"),
+    cell("g1", (0, 0), high="0", movement="full", robot="point"),
+]
+
+
+def test_a_row_holds_the_mean_over_high_levels_or_what_was_published():
+    rows = [
+        comparison.Row("ours", comparison.select(CELLS, movement="oracle", robot="ant")),
+        comparison.Row("paper", published={"g1": (72.0, 6.3), "g2": "≤ 1"}),
+    ]
+    table = comparison.success_by_maze("t", rows, ("g1", "g2", "g3"))
+    assert table.header == ["success %", "Maze-g1", "Maze-g2", "Maze-g3"]
+    assert table.rows == [
+        ["ours", "75.0 ± 35.4", "50.0", "-"],
+        ["paper", "72.0 ± 6.3", "≤ 1", "-"],
+    ]
+
+
+def test_robots_are_compared_and_mazes_taken_together():
+    table = comparison.success_by_robot("t", [comparison.Row("all", CELLS)], ("ant", "point"))
+    assert table.rows == [["all", "62.5 ± 17.7", "0.0"]]
+    table = comparison.overall("t", [comparison.Row("oracle", CELLS[:3])])
+    assert table.rows == [["oracle", "62.5 ± 17.7"]]
+    assert comparison.mean([]) == "-"
+
+
+def test_failures_add_up_to_all_episodes():
+    table = comparison.failures("t", [comparison.Row("oracle", CELLS[:3])])
+    assert table.header == ["% of episodes", "maze", "solved", "fallen", "unstable", "late"]
+    # The first episode of each high level has fallen; those that were solved all the same count so.
+    assert table.rows == [
+        ["oracle", "Maze-g1", "75.0", "12.5", "0.0", "12.5"],
+        ["oracle", "Maze-g2", "50.0", "25.0", "0.0", "25.0"],
+    ]
+
+
+class Reader(html.parser.HTMLParser):
+    """Collects tags, attributes and text; complains about tags that are not closed in order."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.attributes, self.text = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.attributes.append((tag, dict(attrs)))
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture
+def sections(tmp_path):
+    path = tmp_path / "dot.png"
+    Image.new("RGB", (3, 2), "red").save(path)
+    table = tables.Table(
+        "Rooms <9x9>", ["", "success %"], [["ours & theirs", "≤ 1"], ["paper", "2"]]
+    )
+    picture = page.Picture(path, 'a "dot"')
+    return [page.Section("One", "Text < text.", [table], [picture]), page.Section("Two")]
+
+
+def test_page_is_well_formed_and_needs_nothing_else(sections, tmp_path):
+    path = tmp_path / "report.html"
+    page.write(path, "Title & more", "Lead.", sections)
+    text = path.read_text()
+    reader = Reader()
+    reader.feed(text)
+    assert not reader.open
+    (image,) = [attributes for tag, attributes in reader.attributes if tag == "img"]
+    assert image["src"].startswith("data:image/png;base64,") and image["alt"] == 'a "dot"'
+    assert {"Title & more", "Rooms <9x9>", "ours & theirs", "Text < text."} <= set(reader.text)
+    assert ("tr", {"class": "published"}) in reader.attributes
+    assert "http" not in text and "<script" not in text
+
+
+def test_tables_come_as_markdown_too(sections):
+    assert page.markdown(sections) == (
+        "**Rooms <9x9>**\n\n|  | success % |\n| --- | --- |\n| ours & theirs | ≤ 1 |\n"
+        "| paper | 2 |\n"
+    )
