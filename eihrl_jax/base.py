@@ -5,10 +5,10 @@ up, so row `i` and column `j` of the text lie around ((j + 1/2) * CELL, -(i + 1/
 are in MuJoCo units, called units.
 """
 
-from typing import Any, Literal, Protocol, get_args, runtime_checkable
+from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, get_args, runtime_checkable
 
 from flax import struct
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Bool, Float, Key, PyTree
 
 CELL = 3.0
 """Side of a maze cell, and the nominal length of one subgoal, in units (paper, Table 4)."""
@@ -42,6 +42,13 @@ TIME_UNIT = 1_000.0
 """Control steps in which the time of a `GoalObs` grows by one (HIGL's released code)."""
 
 
+Params: TypeAlias = PyTree[Array]
+"""Parameters of networks: nested dicts of arrays, or tuples of such dicts."""
+
+InnerT = TypeVar("InnerT")
+ObsT = TypeVar("ObsT")
+
+
 class UserError(ValueError):
     """A user's mistake, told in one line that names the thing, the value and the limit.
 
@@ -49,7 +56,7 @@ class UserError(ValueError):
     """
 
 
-class EnvState(struct.PyTreeNode):
+class EnvState(struct.PyTreeNode, Generic[InnerT, ObsT]):
     """One environment at one moment, without batch axis; returned by `reset` and `step`.
 
     Attributes:
@@ -64,9 +71,9 @@ class EnvState(struct.PyTreeNode):
       key: random key of this environment.
     """
 
-    inner: Any
-    obs: Any
-    final_obs: Any
+    inner: InnerT
+    obs: ObsT
+    final_obs: ObsT
     reward: Float[Array, ""]
     terminated: Bool[Array, ""]
     truncated: Bool[Array, ""]

@@ -5,7 +5,7 @@ Dropout is on in the online critics, the target critics and the actor's loss; th
 mean of the critics, the target their minimum.
 """
 
-from typing import Any, cast
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base
+from eihrl_jax.agents import optimisation
 from eihrl_jax.config import low as low_config
 from eihrl_jax.networks import droq as networks
 from eihrl_jax.ops import tanh_normal
@@ -34,10 +35,10 @@ class DroqState(struct.PyTreeNode):
       num_updates: int32, critic updates so far.
     """
 
-    actor_params: Any
-    average_params: Any
-    critic_params: Any
-    target_params: Any
+    actor_params: base.Params
+    average_params: base.Params
+    critic_params: base.Params
+    target_params: base.Params
     log_temperature: Float[Array, ""]
     actor_opt_state: optax.OptState
     critic_opt_state: optax.OptState
@@ -86,19 +87,16 @@ class Droq:
             num_updates=jnp.int32(0),
         )
 
-    def act(
-        self,
-        actor_params: Any,
-        obs: Float[Array, " F"],
-        key: Key[Array, ""],
-        *,
-        deterministic: bool = False,
+    def sample(
+        self, actor_params: base.Params, obs: Float[Array, " F"], key: Key[Array, ""]
     ) -> Float[Array, " A"]:
-        """Returns an action in (-1, 1): a sample, or the squashed mean."""
+        """Draws an action in (-1, 1)."""
         mean, log_std = self._squashed(actor_params, obs)
-        if deterministic:
-            return jnp.tanh(mean)
         return tanh_normal.sample(mean, log_std, key)[0]
+
+    def mode(self, actor_params: base.Params, obs: Float[Array, " F"]) -> Float[Array, " A"]:
+        """Returns the squashed mean, in (-1, 1)."""
+        return jnp.tanh(self._squashed(actor_params, obs)[0])
 
     def update(
         self, state: DroqState, batch: base.Transition, key: Key[Array, ""]
@@ -136,13 +134,14 @@ class Droq:
         target_key, online_key = jax.random.split(key)
         target = self._target(state, batch, target_key)
 
-        def loss_fn(critic_params: Any) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        def loss_fn(critic_params: base.Params) -> tuple[Float[Array, ""], Float[Array, ""]]:
             values = self.values(critic_params, batch.obs, batch.action, online_key)
             return jnp.square(values - target[None]).mean(-1).sum(), values.mean()
 
         (loss, value), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.critic_params)
-        updates, opt_state = self._step(grads, state.critic_opt_state, state.num_updates)
-        critic_params = optax.apply_updates(state.critic_params, updates)
+        critic_params, opt_state = self._step(
+            grads, state.critic_opt_state, state.critic_params, state.num_updates
+        )
         state = state.replace(
             critic_params=critic_params,
             critic_opt_state=opt_state,
@@ -160,41 +159,50 @@ class Droq:
         action_key, dropout_key = jax.random.split(key)
         temperature = jnp.exp(state.log_temperature)
 
-        def loss_fn(actor_params: Any) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        def loss_fn(actor_params: base.Params) -> tuple[Float[Array, ""], Float[Array, ""]]:
             action, log_prob = self._sample(actor_params, batch.obs, action_key)
             values = self.values(state.critic_params, batch.obs, action, dropout_key)
             return (temperature * log_prob - values.mean(0)).mean(), -log_prob.mean()
 
         (loss, entropy), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.actor_params)
-        updates, actor_opt_state = self._step(grads, state.actor_opt_state, state.num_updates)
+        actor_params, actor_opt_state = self._step(
+            grads, state.actor_opt_state, state.actor_params, state.num_updates
+        )
+
         # d/d(log alpha) of log_alpha * (entropy - target_entropy), as in the authors' code.
         temperature_grad = entropy - self.options.target_entropy * self._num_actions
-        step, temperature_opt_state = self._step(
-            temperature_grad, state.temperature_opt_state, state.num_updates
+        log_temperature, temperature_opt_state = self._step(
+            temperature_grad,
+            state.temperature_opt_state,
+            state.log_temperature,
+            state.num_updates,
         )
-        actor_params = optax.apply_updates(state.actor_params, updates)
+
         state = state.replace(
             actor_params=actor_params,
             average_params=optax.incremental_update(
                 actor_params, state.average_params, self.options.average_rate
             ),
             actor_opt_state=actor_opt_state,
-            log_temperature=state.log_temperature + step,
+            log_temperature=log_temperature,
             temperature_opt_state=temperature_opt_state,
         )
         return state, {"actor_loss": loss, "entropy": entropy}
 
     def _step(
-        self, grads: Any, opt_state: optax.OptState, num_updates: Int[Array, ""]
-    ) -> tuple[Any, optax.OptState]:
-        """Returns Adam's updates at the learning rate of this moment."""
-        with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
-            updates, opt_state = self._optimizer.update(grads, opt_state)
-        if self.options.learning_rate_half_life is None:
-            return updates, opt_state
+        self,
+        grads: base.Params,
+        opt_state: optax.OptState,
+        params: base.Params,
+        num_updates: Int[Array, ""],
+    ) -> tuple[base.Params, optax.OptState]:
+        """Takes one step of Adam at the learning rate of this moment."""
+        half_life = self.options.learning_rate_half_life
+        if half_life is None:
+            return optimisation.step(self._optimizer, grads, opt_state, params)
         # Adam's updates are proportional to the rate, so its state needs no schedule.
-        share = jnp.exp2(-num_updates.astype(jnp.float32) / self.options.learning_rate_half_life)
-        return jax.tree.map(lambda update: share * update, updates), opt_state
+        share = jnp.exp2(-num_updates.astype(jnp.float32) / half_life)
+        return optimisation.step(self._optimizer, grads, opt_state, params, share)
 
     def _target(
         self, state: DroqState, batch: base.Transition, key: Key[Array, ""]
@@ -206,19 +214,21 @@ class Droq:
         soft_value = values.min(0) - jnp.exp(state.log_temperature) * log_prob
         return batch.reward + batch.discount * soft_value
 
-    def _squashed(self, actor_params: Any, obs: Float[Array, "*B F"]) -> tuple[Array, Array]:
+    def _squashed(
+        self, actor_params: base.Params, obs: Float[Array, "*B F"]
+    ) -> tuple[Array, Array]:
         """Returns mean and log standard deviation of the actions before they are squashed."""
         return cast(tuple[Array, Array], self._actor.apply({"params": actor_params}, obs))
 
     def _sample(
-        self, actor_params: Any, obs: Float[Array, "B F"], key: Key[Array, ""]
+        self, actor_params: base.Params, obs: Float[Array, "B F"], key: Key[Array, ""]
     ) -> tuple[Float[Array, "B A"], Float[Array, " B"]]:
         mean, log_std = self._squashed(actor_params, obs)
         return tanh_normal.sample(mean, log_std, key)
 
     def values(
         self,
-        critic_params: Any,
+        critic_params: base.Params,
         obs: Float[Array, "B F"],
         action: Float[Array, "B A"],
         key: Key[Array, ""],

@@ -15,11 +15,12 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, PyTree
 
 from eihrl_jax import base
+from eihrl_jax.agents import optimisation
 from eihrl_jax.config import high
-from eihrl_jax.ops import losses, returns
+from eihrl_jax.ops import losses, returns, tree
 
 AXIS = "workers"
 """Mesh axis over which workers are spread; `update` must run inside a `shard_map` over it."""
@@ -87,13 +88,18 @@ class Batch(struct.PyTreeNode):
     weight: Float[Array, " T"]
 
 
-def act(
-    network: nn.Module, params: Any, obs: Any, key: Key[Array, ""], *, deterministic: bool = False
+def sample(
+    network: nn.Module, params: base.Params, obs: PyTree[Array], key: Key[Array, ""]
 ) -> Int[Array, ""]:
-    """Chooses the subgoal for one observation: sampled, or the most likely one."""
+    """Draws the subgoal for one observation."""
     logits, _ = network.apply(params, obs)
-    action = jnp.argmax(logits) if deterministic else jax.random.categorical(key, logits)
-    return action.astype(jnp.int32)
+    return jax.random.categorical(key, logits).astype(jnp.int32)
+
+
+def mode(network: nn.Module, params: base.Params, obs: PyTree[Array]) -> Int[Array, ""]:
+    """Returns the most likely subgoal for one observation."""
+    logits, _ = network.apply(params, obs)
+    return jnp.argmax(logits).astype(jnp.int32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -148,11 +154,12 @@ class PegA2C:
         gradient, metrics = self.gradient(state.params, batch, state.num_updates)
         gradient, metrics = jax.lax.pmean((gradient, metrics), AXIS)
         counts = jax.lax.psum(jax.tree.map(jnp.sum, counts), AXIS)
-        with jax.numpy_dtype_promotion("standard"):  # Optax mixes its counts with floats.
-            updates, opt_state = self._optimiser().update(gradient, state.opt_state, state.params)
+        params, opt_state = optimisation.step(
+            self._optimiser(), gradient, state.opt_state, state.params
+        )
         metrics |= counts | {"grad_norm": optax.tree.norm(gradient)}
         state = state.replace(
-            params=optax.apply_updates(state.params, updates),
+            params=params,
             opt_state=opt_state,
             env_state=env_state,
             keys=keys,
@@ -259,7 +266,7 @@ class PegA2C:
             )
             is_running &= has_window | ~(following.terminated | following.truncated)
             if looks_beyond:
-                cut_obs = _where(following.truncated, following.final_obs, cut_obs)
+                cut_obs = tree.where(following.truncated, following.final_obs, cut_obs)
             else:  # Nobody looks at it, so that XLA need not draw it.
                 following = following.replace(final_obs=following.obs)
             return (following, is_running, cut_obs), decision
@@ -321,10 +328,6 @@ class PegA2C:
         return optax.chain(
             optax.clip_by_global_norm(learner.max_grad_norm), rule[learner.optimiser]
         )
-
-
-def _where(condition: Bool[Array, ""], if_true: Any, if_false: Any) -> Any:
-    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), if_true, if_false)
 
 
 def _counts(decisions: Decision) -> dict[str, Float[Array, ""]]:

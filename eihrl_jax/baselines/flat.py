@@ -106,7 +106,7 @@ class FlatDroq:
         self, policy: dict[str, Any], memory: tuple[()], obs: base.GoalObs, key: Key[Array, ""]
     ) -> tuple[Float[Array, " nu"], tuple[()]]:
         """Returns controls in [-1, 1] without exploration, and what is to be remembered."""
-        return self._learner.act(policy["actor"], self.see(obs), key, deterministic=True), memory
+        return self._learner.mode(policy["actor"], self.see(obs)), memory
 
     def see(self, obs: base.GoalObs) -> Float[Array, " F"]:
         """Returns what the level sees: x and y from the arena's centre, the robot, the way left.
@@ -121,7 +121,7 @@ class FlatDroq:
         key, act_key, random_key, draw_key, update_key = jax.random.split(state.key, 5)
         num_envs = self.options.num_envs
         is_warm = state.num_steps >= self.options.warmup_steps
-        chosen = jax.vmap(self._learner.act, (None, 0, 0))(
+        chosen = jax.vmap(self._learner.sample, (None, 0, 0))(
             state.learner.actor_params,
             jax.vmap(self.see)(state.envs.obs),
             jax.random.split(act_key, num_envs),

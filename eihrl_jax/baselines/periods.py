@@ -13,6 +13,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
+from eihrl_jax.ops import tree
 
 Choose = Callable[[base.GoalObs, Bool[Array, ""], Key[Array, ""]], Any]
 """The upper level: from what is seen, whether the episode begins, and a key to a subgoal."""
@@ -173,6 +174,6 @@ def renew(env: base.Environment, envs: base.EnvState, is_over: Bool[Array, " N"]
 
     def renew_one(state: base.EnvState, is_over: Bool[Array, ""]) -> base.EnvState:
         fresh = env.reset(state.key)
-        return jax.tree.map(lambda new, old: jnp.where(is_over, new, old), fresh, state)
+        return tree.where(is_over, fresh, state)
 
     return jax.vmap(renew_one)(envs, is_over)

@@ -15,7 +15,7 @@ from eihrl_jax.config import low as low_config
 from eihrl_jax.config import presets
 from eihrl_jax.envs import locomotion, rooms, wrappers
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import scene
+from eihrl_jax.physics import engines, scene
 from eihrl_jax.training import low
 
 NUM_FEATURES, NUM_ACTIONS, CAPACITY, BATCH = 35, 8, 100_000, 256
@@ -87,7 +87,7 @@ def walking_rate(num_steps: int = 100, repeats: int = 5) -> dict[str, float]:
     """
     config = presets.low_best()
     trainer = low.LowTrainer(config)
-    engine = engine_lib.make(trainer.robot, config.engine)
+    engine = engines.make(trainer.robot, config.engine)
     env = wrappers.AutoReset(
         locomotion.Locomotion(
             engine, rooms.random_rooms(config.num_rooms, 0), reward_options=config.reward
@@ -100,7 +100,7 @@ def walking_rate(num_steps: int = 100, repeats: int = 5) -> dict[str, float]:
     parked = jnp.tile(jnp.array(scene.PARKED_XY), (engine.robot.num_walls, 1))
 
     def walk_one(state: base.EnvState, key: jax.Array) -> base.EnvState:
-        return env.step(state, trainer.act(params, state.obs, key, False))
+        return env.step(state, trainer.sample(params, state.obs, key))
 
     def step_one(state: engine_lib.PhysicsState, ctrl: jax.Array) -> engine_lib.PhysicsState:
         return engine.step(state, ctrl, parked)

@@ -17,7 +17,7 @@ from mujoco import batch as mujoco_batch
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.benchmarks import timing
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import scene, walls
+from eihrl_jax.physics import engines, scene, walls
 
 
 def interface_ratio(
@@ -36,7 +36,7 @@ def interface_ratio(
     Returns:
       `ours` and `alone`, control steps per second, and `ratio`, ours/alone.
     """
-    engine = engine_lib.make(robots.load("ant"), "mujoco")
+    engine = engines.make(robots.load("ant"), "mujoco")
     parked = jnp.broadcast_to(jnp.array(scene.PARKED_XY), (num_envs, engine.robot.num_walls, 2))
     start = _standing(engine, jnp.zeros((num_envs, 2)))
     ctrls = _random_ctrls(engine, num_steps, num_envs)
@@ -78,7 +78,7 @@ def maze_cost_ratio(
       `spiral` and `random`, microseconds per control step of one ant (on a CPU: of all its cores'
       time together), and `ratio`, spiral/random.
     """
-    engine = engine_lib.make(robots.load("ant"), engine_name)
+    engine = engines.make(robots.load("ant"), engine_name)
     runs = {
         name: _random_walk(engine, mazes.load(name), num_steps, num_envs)
         for name in ("spiral", "random")
@@ -109,7 +109,7 @@ def throughput(
     rows = []
     maze = mazes.load("random")
     for name, num_envs in itertools.product(base.ENGINES, sizes):
-        engine = engine_lib.make(robots.load("ant"), name)
+        engine = engines.make(robots.load("ant"), name)
         run = {name: _random_walk(engine, maze, num_steps, num_envs)}
         seconds = timing.shortest(run, repeats)[name]
         rows.append({"engine": name, "num_envs": num_envs, "rate": num_envs * num_steps / seconds})
@@ -133,7 +133,7 @@ def engine_deviations(num_envs: int = 16, num_steps: int = 50) -> list[dict[str,
       ants and steps; `torso`, the median deviation of the torso's xy at the last step, units.
     """
     robot = robots.load("ant")
-    c_engine, mjx_engine = (engine_lib.make(robot, name) for name in base.ENGINES)
+    c_engine, mjx_engine = (engines.make(robot, name) for name in base.ENGINES)
     c_step, mjx_step = (jax.jit(jax.vmap(engine.step)) for engine in (c_engine, mjx_engine))
     start = _standing(c_engine, jnp.zeros((num_envs, 2)))
     noise = 0.05 * jax.random.normal(jax.random.key(2), start.qpos.shape)

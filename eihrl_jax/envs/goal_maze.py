@@ -21,6 +21,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from eihrl_jax import base
 from eihrl_jax.envs import locomotion, task
 from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
 
 
@@ -111,8 +112,8 @@ class GoalMaze:
             is_broken=is_broken,
         )
         rested = state.replace(reward=jnp.float32(0.0))
-        return jax.tree.map(
-            lambda new, old: jnp.where(is_running, new, old),
+        return tree.where(
+            is_running,
             self._state(moved, outcome, state.key),
             rested,
         )

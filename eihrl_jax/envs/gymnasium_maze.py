@@ -37,7 +37,7 @@ from jaxtyping import Array, Float
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.envs import goal_maze, wrappers
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 
 ID = "eihrl_jax/Maze-v0"
 """Name under which Gymnasium knows both environments, once they are registered."""
@@ -220,7 +220,7 @@ def _make(
         raise base.UserError(
             f"reward {reward!r} is unknown; choose one of {', '.join(base.REWARDS)}"
         )
-    moved = engine_lib.make(robots.load(robot), engine)
+    moved = engines.make(robots.load(robot), engine)
     course = mazes.load(maze, num_decisions=num_decisions)
     env = goal_maze.GoalMaze(moved, course, reward=cast(base.Reward, reward))
     return env, moved.model.nu

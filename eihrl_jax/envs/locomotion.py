@@ -14,7 +14,7 @@ from eihrl_jax import base
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import low_obs
 from eihrl_jax.mazes import maze as maze_lib
-from eihrl_jax.ops import rotations
+from eihrl_jax.ops import rotations, tree
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import walls
 from eihrl_jax.robots import robot as robot_lib
@@ -358,5 +358,5 @@ def advance(
     stepped = engine.step(physics, jnp.where(is_running, ctrl, jnp.nan), walls_xy)
     numbers = jnp.concatenate([stepped.qpos, stepped.qvel, ctrl])
     is_broken = is_running & ~jnp.isfinite(numbers).all()
-    kept = jax.tree.map(lambda new, old: jnp.where(is_broken, old, new), stepped, physics)
+    kept = tree.where(is_broken, physics, stepped)
     return kept, is_broken

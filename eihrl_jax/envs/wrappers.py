@@ -4,11 +4,11 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Key
 
 from eihrl_jax import base
+from eihrl_jax.ops import tree
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,8 +38,8 @@ class AutoReset:
         ended = self.env.step(state.replace(terminated=no, truncated=no), action)
         fresh = self.env.reset(ended.key)
         is_done = ended.terminated | ended.truncated
-        inner, obs, key = jax.tree.map(
-            lambda new, old: jnp.where(is_done, new, old),
+        inner, obs, key = tree.where(
+            is_done,
             (fresh.inner, fresh.obs, fresh.key),
             (ended.inner, ended.obs, ended.key),
         )

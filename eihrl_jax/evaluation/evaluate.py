@@ -8,7 +8,7 @@ from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.envs import raster, subgoals
 from eihrl_jax.evaluation import baselines, results, rollouts, systems
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import progress as progress_lib
 
@@ -146,7 +146,7 @@ def _prepare_peer(
 ) -> _Prepared:
     """Loads a baseline: both levels at once, to which it is nothing what a high level chooses."""
     system = results.System(robot=robot.name, movement="full", high=name, low=None)
-    engine = engine_lib.make(robot, options.engine)
+    engine = engines.make(robot, options.engine)
     env = baselines.load(name, engine, stacked, reward=options.reward)
     nobody = systems.load_high(evaluate_config.RANDOM)
     return _Prepared(system, robot, rollouts.Runner(env, plan), nobody.policy)
@@ -180,5 +180,5 @@ def _envs(
             systems.oracle(robot, stacked, view, walking=walking, reward=reward) for view in views
         ]
     low_policy = systems.load_low(low, robot)
-    engine = engine_lib.make(robot, options.engine)
+    engine = engines.make(robot, options.engine)
     return [systems.full(engine, stacked, view, low_policy, reward=reward) for view in views]

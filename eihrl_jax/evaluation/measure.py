@@ -17,8 +17,8 @@ from eihrl_jax.config import measure as measure_config
 from eihrl_jax.envs import hierarchy, locomotion, postures, rooms, subgoals, wrappers
 from eihrl_jax.evaluation import systems
 from eihrl_jax.mazes import maze as maze_lib
-from eihrl_jax.ops import rotations
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.ops import rotations, tree
+from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import progress as progress_lib
 
@@ -100,7 +100,7 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
     """
     robot = robots.load(options.robot)
     policy = systems.load_low(options.low or options.robot, robot)
-    engine = engine_lib.make(robot, options.engine)
+    engine = engines.make(robot, options.engine)
     walled = rooms.random_rooms(NUM_ROOMS, _ROOM_SEED + options.seed)
     floors = {subgoals.OPEN: rooms.open_floor(), subgoals.ROOMS: walled}
 
@@ -146,7 +146,7 @@ def _walk(
         was_down = locomotion.is_fallen(before.physics.qpos, env.robot)
         now = Begun(is_upright=~was_down, is_clear=_is_clear(env, before))
         is_first = before.step % k == 0
-        begun = jax.tree.map(lambda new, old: jnp.where(is_first, new, old), now, begun)
+        begun = tree.where(is_first, now, begun)
         after = resetting.step(state, policy(state.obs, act_key))
         told = {name: after.metrics[name] for name in _TOLD}
         steps = Steps(

@@ -21,6 +21,7 @@ from eihrl_jax import base, mazes
 from eihrl_jax.envs import hierarchy, task
 from eihrl_jax.evaluation import recording as recording_lib
 from eihrl_jax.evaluation import results
+from eihrl_jax.ops import tree
 from eihrl_jax.runs import progress as progress_lib
 
 MAX_ROWS = 1024
@@ -217,7 +218,7 @@ class Runner:
             action = high_policy(state.obs, jax.random.fold_in(key, t))
             following, trace = self._env.trace(state, action)
             is_over = state.terminated | state.truncated
-            kept = jax.tree.map(lambda old, new: jnp.where(is_over, old, new), state, following)
+            kept = tree.where(is_over, state, following)
             return kept, Step(obs=state.obs, action=action, trace=trace)
 
         return jax.vmap(decide)(states, keys)

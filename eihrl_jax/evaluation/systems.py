@@ -123,7 +123,9 @@ class _Learned:
     greedy: bool
 
     def __call__(self, params: Any, obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
-        return peg_a2c.act(self.network, params, obs, key, deterministic=self.greedy)
+        if self.greedy:
+            return peg_a2c.mode(self.network, params, obs)
+        return peg_a2c.sample(self.network, params, obs, key)
 
 
 def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:

@@ -14,7 +14,7 @@ from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import value_gap as gap_config
 from eihrl_jax.envs import postures, subgoals
 from eihrl_jax.evaluation import rollouts, systems
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 from eihrl_jax.runs import policies
 from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.theory import bounds, displacement
@@ -121,7 +121,7 @@ def _oracle(stacked: mazes.Maze, high: systems.HighLevel, sigma: float) -> rollo
 def _walking(stacked: mazes.Maze, high: systems.HighLevel, name: str) -> rollouts.Traced:
     """Returns a robot that walks with its shipped low level."""
     robot = robots.load(name)
-    engine = engine_lib.make(robot, "mujoco")
+    engine = engines.make(robot, "mujoco")
     return systems.full(engine, stacked, high.view, systems.load_low(name, robot))
 
 

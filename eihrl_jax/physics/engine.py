@@ -7,7 +7,6 @@ import mujoco
 from flax import struct
 from jaxtyping import Array, Float
 
-from eihrl_jax import base
 from eihrl_jax.robots import robot as robot_lib
 
 
@@ -70,25 +69,3 @@ def reset(qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> PhysicsState:
         qvel=qvel.astype(jnp.float32),
         qacc_warmstart=jnp.zeros_like(qvel, jnp.float32),
     )
-
-
-def make(robot: robot_lib.Robot, name: str = "mujoco", cell: float = base.CELL) -> Engine:
-    """Returns an engine for a robot.
-
-    Args:
-      robot: the robot to drive.
-      name: "mujoco" for the C engine on the processor's cores, "mjx" for JAX.
-      cell: side of a wall's box, units.
-
-    Raises:
-      base.UserError: the engine is unknown.
-    """
-    if name == "mujoco":
-        from eihrl_jax.physics import mujoco_engine
-
-        return mujoco_engine.MujocoEngine(robot, cell)
-    if name == "mjx":
-        from eihrl_jax.physics import mjx_engine
-
-        return mjx_engine.MjxEngine(robot, cell)
-    raise base.UserError(f"engine {name!r} is unknown; choose one of {', '.join(base.ENGINES)}")

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from mujoco import mjx
 
 from eihrl_jax import base
+from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine, scene
 from eihrl_jax.robots import robot as robot_lib
 
@@ -69,7 +70,7 @@ class MjxEngine:
             qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart
         )
         is_moving = jnp.isfinite(ctrl).all()
-        return jax.tree.map(lambda new, old: jnp.where(is_moving, new, old), stepped, state)
+        return tree.where(is_moving, stepped, state)
 
     def _physics_step(self, data: mjx.Data) -> mjx.Data:
         """Advances one physics step: `mjx.step`, with contact frames as the C engine has them."""

@@ -15,7 +15,7 @@ from eihrl_jax.config import high as high_config
 from eihrl_jax.config import higl as higl_config
 from eihrl_jax.envs import hierarchy
 from eihrl_jax.evaluation import systems
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 from eihrl_jax.reporting import cached_runs
 from eihrl_jax.training import baselines, high
 
@@ -170,7 +170,7 @@ def _walking(options: high_config.HighConfig) -> hierarchy.Hierarchy:
     task, robot = options.task, robots.load(options.task.robot)
     moved = high.make_env(task, options.seed)
     low_policy = systems.load_low(task.robot, robot)
-    engine = engine_lib.make(robot, "mujoco")
+    engine = engines.make(robot, "mujoco")
     return systems.full(engine, moved.course.mazes, moved.view, low_policy, reward=task.reward)
 
 

@@ -10,7 +10,7 @@ from eihrl_jax.config import checks
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import wrappers
 from eihrl_jax.envs.published import forward_run
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 from eihrl_jax.training import baselines
 
 ANT = pathlib.Path(robots.__file__).parent / "assets" / "gym_ant.toml"
@@ -62,7 +62,7 @@ def main(config: ReproduceConfig) -> None:
         num_eval_episodes=10,
         learner=low_config.Droq(),
     )
-    engine = engine_lib.make(robots.load(str(ANT)), "mujoco")
+    engine = engines.make(robots.load(str(ANT)), "mujoco")
     env, side_xy = forward_run.ForwardRun(engine), (0, 0)
     steps, num_actions = forward_run.EPISODE_STEPS, engine.model.nu
     learner = interface.make(wrappers.AutoReset(env), num_actions, side_xy, steps, options)

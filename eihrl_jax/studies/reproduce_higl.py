@@ -9,7 +9,7 @@ from eihrl_jax.baselines import interface
 from eihrl_jax.config import checks, presets
 from eihrl_jax.config import higl as higl_config
 from eihrl_jax.envs.published import u_maze
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 from eihrl_jax.reporting import learning_curve
 from eihrl_jax.training import baselines
 
@@ -68,7 +68,7 @@ def main(config: ReproduceConfig) -> None:
         checkpoint_every=10,
         num_eval_episodes=50,
     )
-    engine = engine_lib.make(robots.load("ant"), "mujoco", u_maze.CELL)
+    engine = engines.make(robots.load("ant"), "mujoco", u_maze.CELL)
     maze = mazes.parse(u_maze.TEXT)
     env = u_maze.UMaze(engine, maze, reward=config.reward)
     test_env = u_maze.UMaze(engine, maze, reward=config.reward, is_evaluation=True)

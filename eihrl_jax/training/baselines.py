@@ -16,7 +16,7 @@ from eihrl_jax.config import baselines as config_lib
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.envs import goal_maze, wrappers
 from eihrl_jax.mazes import generators
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 from eihrl_jax.runs import checkpoint, policies, run_folder, versions
 from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import metrics as metrics_lib
@@ -62,7 +62,7 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
       base.UserError: the maze or the robot is unknown, or an episode too short.
     """
     robot = robots.load(config.robot)
-    engine = engine_lib.make(robot, config.engine)
+    engine = engines.make(robot, config.engine)
     maze = mazes.load(config.maze, num_decisions=config.num_decisions)
     env = goal_maze.GoalMaze(engine, maze, reward=config.reward)
     trained_in: base.Environment = env

@@ -14,7 +14,8 @@ from eihrl_jax import base, robots
 from eihrl_jax.agents import droq, replay
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import locomotion, low_obs, postures, rooms, subgoals, wrappers
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.ops import tree
+from eihrl_jax.physics import engines
 from eihrl_jax.runs import checkpoint, policies, run_folder, versions
 from eihrl_jax.runs import progress as progress_lib
 
@@ -51,7 +52,7 @@ class LowTrainer:
         """
         self.config = config
         self.robot = robots.load(config.robot)
-        engine = engine_lib.make(self.robot, config.engine)
+        engine = engines.make(self.robot, config.engine)
         self._num_actions = engine.model.nu
         floor = (
             rooms.random_rooms(config.num_rooms, config.seed)
@@ -114,13 +115,16 @@ class LowTrainer:
         metrics = {f"learner/{name}": jnp.nanmean(value) for name, value in learned.items()}
         return state, metrics | subgoals.summarise(walked)
 
-    def act(
-        self, actor_params: Any, obs: low_obs.LowObs, key: Key[Array, ""], deterministic: bool
+    def sample(
+        self, actor_params: base.Params, obs: low_obs.LowObs, key: Key[Array, ""]
     ) -> Float[Array, " nu"]:
-        """Returns the controls of one robot."""
-        action = self._learner.act(
-            actor_params, self._features(obs), key, deterministic=deterministic
-        )
+        """Draws the controls of one robot."""
+        action = self._learner.sample(actor_params, self._features(obs), key)
+        return low_obs.ctrl_from_action(action, obs, self.robot, self.config.low_input)
+
+    def mode(self, actor_params: base.Params, obs: low_obs.LowObs) -> Float[Array, " nu"]:
+        """Returns the controls of one robot without exploration."""
+        action = self._learner.mode(actor_params, self._features(obs))
         return low_obs.ctrl_from_action(action, obs, self.robot, self.config.low_input)
 
     def measure(
@@ -160,8 +164,8 @@ class LowTrainer:
         """Walks one step in every environment, then updates the learner."""
         key, act_key, learn_key = jax.random.split(state.key, 3)
         act_keys = jax.random.split(act_key, self.config.num_envs)
-        ctrl = jax.vmap(lambda obs, key: self.act(state.learner.actor_params, obs, key, False))(
-            state.envs.obs, act_keys
+        ctrl = jax.vmap(self.sample, (None, 0, 0))(
+            state.learner.actor_params, state.envs.obs, act_keys
         )
         envs, stored = self._walk(state.envs, ctrl)
         memory = replay.add(state.memory, stored)
@@ -215,17 +219,17 @@ class LowTrainer:
             anew = locomotion.relabel(row, direction)
         else:
             anew = locomotion.restart(row, direction, self.robot)
-        return jax.tree.map(lambda new, old: jnp.where(is_seen_anew, new, old), anew, row)
+        return tree.where(is_seen_anew, anew, row)
 
     def _roll(
         self, actor_params: Any, key: Key[Array, ""], num_envs: int, num_subgoals: int
     ) -> tuple[Float[Array, "T N nq"], dict[str, Float[Array, "T N"]], base.EnvState]:
         """Walks deterministically on open floor; returns qpos and metrics of every step."""
-        env_key, act_key = jax.random.split(key)
+        env_key, _ = jax.random.split(key)  # The second half is free; splitting keeps the draws.
         envs = jax.vmap(self._test_env.reset)(jax.random.split(env_key, num_envs))
 
         def body(envs: base.EnvState, _: None) -> tuple[base.EnvState, tuple[Array, dict]]:
-            ctrl = jax.vmap(lambda obs: self.act(actor_params, obs, act_key, True))(envs.obs)
+            ctrl = jax.vmap(self.mode, (None, 0))(actor_params, envs.obs)
             envs = jax.vmap(self._test_env.step)(envs, ctrl)
             return envs, (envs.inner.physics.qpos, envs.metrics)
 

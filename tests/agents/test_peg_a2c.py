@@ -231,17 +231,17 @@ def test_compiles_once_and_the_same_start_gives_the_same_result(trained):
     jax.tree.map(np.testing.assert_array_equal, trained.first.params, trained.again.params)
 
 
-def test_act_samples_or_takes_the_most_likely():
+def test_an_action_is_a_sample_or_the_most_likely():
     agent = make()
     obs = probe_envs.observe(Kind.ACTION, 1.0)
     params = jax.jit(agent.network.init)(jax.random.key(0), obs)
     params["params"]["Dense_1"]["bias"] = jnp.array([0.0, 0.0, 0.7, 0.0])
     keys = jax.random.split(jax.random.key(0), 256)
-    act = functools.partial(peg_a2c.act, agent.network, params, obs)
-    sampled = jax.jit(jax.vmap(act))(keys)
+    sample = functools.partial(peg_a2c.sample, agent.network, params, obs)
+    sampled = jax.jit(jax.vmap(sample))(keys)
     assert sampled.dtype == jnp.int32
     assert set(np.asarray(sampled)) == {0, 1, 2, 3}
-    assert np.bincount(sampled).argmax() == act(keys[0], deterministic=True)
+    assert np.bincount(sampled).argmax() == peg_a2c.mode(agent.network, params, obs)
 
 
 def assert_close(actual, expected):

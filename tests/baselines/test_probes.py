@@ -105,7 +105,7 @@ def make(name):
         return Learner(
             agent.init,
             agent.update,
-            lambda state, obs: agent.act(state.actor_params, obs, key, deterministic=True),
+            lambda state, obs: agent.mode(state.actor_params, obs),
             lambda state, obs, act: agent.values(state.critic_params, obs, act, key).mean(0),
         )
     if name == "td3":
@@ -127,7 +127,7 @@ def make(name):
         return Learner(
             agent.init,
             lambda state, batch, key: agent.update(state, batch, weight, key),
-            lambda state, obs: agent.act(state.actor_params, obs, key, deterministic=True),
+            lambda state, obs: agent.mode(state.actor_params, obs),
             lambda state, obs, act: agent._values(state.critic_params, obs, act).mean(0),
         )
     options = hess.Ddpg(

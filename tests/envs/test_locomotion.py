@@ -12,19 +12,19 @@ from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import locomotion, rooms, wrappers
 from eihrl_jax.ops import rotations
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 
 ANT, POINT = (robots.load(name) for name in ("ant", "point"))
 
 
 @pytest.fixture(scope="module")
 def ant_engine():
-    return engine_lib.make(ANT, "mujoco")
+    return engines.make(ANT, "mujoco")
 
 
 @pytest.fixture(scope="module")
 def point_engine():
-    return engine_lib.make(POINT, "mujoco")
+    return engines.make(POINT, "mujoco")
 
 
 def _env(engine, **options):

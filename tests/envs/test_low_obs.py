@@ -14,7 +14,7 @@ from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import locomotion, low_obs
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import scene
+from eihrl_jax.physics import engines, scene
 from eihrl_jax.robots import symmetry as symmetry_lib
 
 POINT, ANT, SWIMMER, HUMANOID = (robots.load(name) for name in robots.NAMES)
@@ -148,7 +148,7 @@ SYMMETRIC = [
 )
 def test_renaming_and_stepping_commute(robot, variant):
     """Physics itself says that the tables are right, on the floor, with joints off their zeros."""
-    engine = engine_lib.make(robot, "mujoco")
+    engine = engines.make(robot, "mujoco")
     near = jnp.tile(jnp.array(scene.PARKED_XY), (robot.num_walls, 1))
     key, ctrl_key = jax.random.split(jax.random.key(variant))
     state = locomotion.draw_pose(engine, jnp.array([0.3, 0.4]), key)

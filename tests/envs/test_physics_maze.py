@@ -7,7 +7,7 @@ import pytest
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.envs import hierarchy, physics_maze, raster, task
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 from tests.envs.sled import K, Sled
 
 TEXT = """\
@@ -164,7 +164,7 @@ def test_reset_draws_anew_in_the_maze_asked_for(maze):
 def rolling():
     """A point robot on the C engine, in a room that it is to leave through the east."""
     text = "######\n#....#\n#S...1\n#....#\n######\n"
-    engine = engine_lib.make(robots.load("point"))
+    engine = engines.make(robots.load("point"))
     env = physics_maze.PhysicsMaze(engine, mazes.parse(text, num_decisions=8), view=raster.View())
 
     def push(obs, key):

@@ -7,19 +7,19 @@ import pytest
 
 from eihrl_jax import robots
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import scene
+from eihrl_jax.physics import engines, scene
 
 
 @pytest.fixture(scope="session")
 def ant():
     """The ant on the C engine."""
-    return engine_lib.make(robots.load("ant"), "mujoco")
+    return engines.make(robots.load("ant"), "mujoco")
 
 
 @pytest.fixture(scope="session")
 def mjx_step():
     """The ant's compiled MJX control step of a batch."""
-    return jax.jit(jax.vmap(engine_lib.make(robots.load("ant"), "mjx").step))
+    return jax.jit(jax.vmap(engines.make(robots.load("ant"), "mjx").step))
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import pytest
 from mujoco import batch
 
 from eihrl_jax import base, robots
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 
 CORNER = jnp.array([[2.3, -0.7], [-0.7, 2.3], [2.3, 2.3]])
 """Walls whose faces are 0.8 units right of and above the origin, within an ant's reach."""
@@ -192,4 +192,4 @@ def test_the_c_engine_is_mujoco(ant, standing, parked, random_ctrls):
 
 def test_unknown_engine():
     with pytest.raises(base.UserError, match="engine 'brax' is unknown; choose one of mujoco, mjx"):
-        engine_lib.make(robots.load("point"), "brax")
+        engines.make(robots.load("point"), "brax")

@@ -14,7 +14,7 @@ from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.envs import locomotion, low_obs, raster, subgoals
 from eihrl_jax.evaluation import results, rollouts, systems
 from eihrl_jax.networks import droq, patch_actor_critic
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 from eihrl_jax.reporting import evaluations
 from eihrl_jax.runs import folders, policies, progress
 
@@ -34,7 +34,7 @@ def folder(tmp_path_factory):
         path / "high", kind="high", params=params, meta={"view": view, "network": NETWORK}
     )
     robot = robots.load("point")
-    engine = engine_lib.make(robot)
+    engine = engines.make(robot)
     physics = locomotion.draw_pose(engine, jnp.zeros(2), jax.random.key(0))
     obs = low_obs.observe(physics, jnp.zeros(2), jnp.int32(1), jnp.int32(0), robot)
     num_features = len(low_obs.features(obs, robot, systems.low_config.LowInput()))

@@ -12,7 +12,7 @@ import pytest
 
 from eihrl_jax import base, robots
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import kinematics, scene
+from eihrl_jax.physics import engines, kinematics, scene
 from eihrl_jax.robots import symmetry
 
 NUM = 4
@@ -91,7 +91,7 @@ def test_no_part_is_farther_than_reach(name):
 @pytest.mark.parametrize("kind", ["still", "random"])
 def test_steps_stably(name, kind):
     """300 control steps without nan or absurd speeds; still robots come to rest."""
-    engine = engine_lib.make(robots.load(name))
+    engine = engines.make(robots.load(name))
     qpos, qvel = roll(engine, ctrls_of(engine, 300, kind))
     assert np.isfinite(qpos).all()
     assert np.abs(qvel).max() < 60.0
@@ -103,14 +103,14 @@ def test_steps_stably(name, kind):
 
 
 def test_ant_settles_on_its_feet():
-    engine = engine_lib.make(robots.load("ant"))
+    engine = engines.make(robots.load("ant"))
     qpos, _ = roll(engine, ctrls_of(engine, 200, "still"))
     low, high = engine.robot.healthy_z
     assert low < qpos[-1, 0, 2] < high
 
 
 def test_humanoid_stands_then_falls_without_control():
-    engine = engine_lib.make(robots.load("humanoid"))
+    engine = engines.make(robots.load("humanoid"))
     qpos, _ = roll(engine, ctrls_of(engine, 120, "still"))
     low, high = engine.robot.healthy_z
     assert (qpos[:8, :, 2] > low).all() and (qpos[:8, :, 2] < high).all()
@@ -119,7 +119,7 @@ def test_humanoid_stands_then_falls_without_control():
 
 def test_point_reaches_its_terminal_speed():
     """8 N against a damping of 4 N s/unit: 2 units/s, the same in every direction."""
-    engine = engine_lib.make(robots.load("point"))
+    engine = engines.make(robots.load("point"))
     ctrls = np.zeros((20, NUM, 2), np.float32)
     ctrls[:] = [[1, 0], [-1, 0], [0, 1], [0, -1]]
     _, qvel = roll(engine, ctrls)
@@ -128,7 +128,7 @@ def test_point_reaches_its_terminal_speed():
 
 def test_swimmer_swims():
     """Bending in turns moves it along; at rest the water stops it. No floor holds it."""
-    engine = engine_lib.make(robots.load("swimmer"))
+    engine = engines.make(robots.load("swimmer"))
     t = np.arange(300) * engine.robot.control_step
     wave = np.stack([np.sin(2.0 * t), np.sin(2.0 * t - np.pi / 2)], 1)
     ctrls = np.tile(wave[:, None], (1, NUM, 1)).astype(np.float32)
@@ -137,7 +137,7 @@ def test_swimmer_swims():
 
 
 def test_swimmer_is_stopped_by_a_wall():
-    engine = engine_lib.make(robots.load("swimmer"))
+    engine = engines.make(robots.load("swimmer"))
     walls_xy = np.full((8, 2), scene.PARKED_XY, np.float32)
     walls_xy[0] = (4.0, 0.0)
     state = engine_lib.reset(jnp.zeros(5), jnp.zeros(5).at[0].set(3.0))
@@ -152,7 +152,7 @@ def test_swimmer_is_stopped_by_a_wall():
 def test_mjx_agrees_on_the_other_robots(name):
     """Ten control steps with random controls; the ant's comparison is in tests/physics."""
     robot = robots.load(name)
-    c_engine, mjx_engine = (engine_lib.make(robot, engine) for engine in base.ENGINES)
+    c_engine, mjx_engine = (engines.make(robot, engine) for engine in base.ENGINES)
     ctrls = ctrls_of(c_engine, 10, "random")
     truth, _ = roll(c_engine, ctrls)
     qpos, _ = roll(mjx_engine, ctrls)
@@ -172,7 +172,7 @@ def _changed(tmp_path, old, new, in_xml=False):
 
 def test_a_robot_of_ones_own_moves_and_meets_walls():
     robot = robots.load(str(CART))
-    engine = engine_lib.make(robot, "mujoco")
+    engine = engines.make(robot, "mujoco")
     step = jax.jit(engine.step)
     walls_xy = jnp.tile(jnp.array(scene.PARKED_XY), (robot.num_walls, 1))
     state = engine_lib.reset(jnp.zeros(3), jnp.zeros(3))

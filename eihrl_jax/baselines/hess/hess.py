@@ -187,9 +187,7 @@ class Hess:
     ) -> tuple[Float[Array, " nu"], HessMemory]:
         """Returns controls in [-1, 1] without exploration, and what is to be remembered."""
         is_new = memory.steps_left == 0
-        action = self._learning.manager.act(
-            policy["manager"], self._manager_features(obs), key, deterministic=True
-        )
+        action = self._learning.manager.mode(policy["manager"], self._manager_features(obs))
         place = self._learning.space.place(policy["representation"], self.see(obs))
         subgoal = jnp.where(is_new, place + action, memory.subgoal)
         features = jnp.concatenate([self.see(obs), place, subgoal])
@@ -261,7 +259,7 @@ class Hess:
         share_key, act_key, any_key, draw_key, select_key = jax.random.split(key, 5)
         params = state.learned.space.params
         here = self._learning.space.place(params, self.see(obs))
-        own = self._learning.manager.act(
+        own = self._learning.manager.sample(
             state.learned.manager.actor_params, self._manager_features(obs), act_key
         )
         reach = self.options.manager.reach

@@ -83,18 +83,15 @@ class Sac:
             num_updates=jnp.int32(0),
         )
 
-    def act(
-        self,
-        actor_params: Any,
-        obs: Float[Array, " F"],
-        key: Key[Array, ""],
-        *,
-        deterministic: bool = False,
+    def sample(
+        self, actor_params: base.Params, obs: Float[Array, " F"], key: Key[Array, ""]
     ) -> Float[Array, " A"]:
-        """Returns an action within the reach: a sample, or the squashed mean."""
-        if deterministic:
-            return self.options.reach * jnp.tanh(self._squashed(actor_params, obs)[0])
+        """Draws an action within the reach."""
         return self._sample(actor_params, obs, key)[0]
+
+    def mode(self, actor_params: base.Params, obs: Float[Array, " F"]) -> Float[Array, " A"]:
+        """Returns the squashed mean, within the reach."""
+        return self.options.reach * jnp.tanh(self._squashed(actor_params, obs)[0])
 
     def update(
         self,

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base
 from eihrl_jax.envs import locomotion
+from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import scene
 
@@ -72,7 +73,7 @@ class ForwardRun:
             state.key,
         )
         rested = state.replace(reward=jnp.float32(0.0))
-        return jax.tree.map(lambda new, old: jnp.where(is_running, new, old), moved, rested)
+        return tree.where(is_running, moved, rested)
 
 
 def _state(

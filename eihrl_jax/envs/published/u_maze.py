@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from eihrl_jax import base
 from eihrl_jax.envs import locomotion
 from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import walls
 
@@ -135,8 +136,8 @@ class UMaze:
         terminated = is_broken | (is_there & self._is_evaluation)
         is_late = (step >= EPISODE_STEPS) & ~terminated
         rested = state.replace(reward=jnp.float32(0.0))
-        return jax.tree.map(
-            lambda new, old: jnp.where(is_running, new, old),
+        return tree.where(
+            is_running,
             _state(moved, reward, terminated, is_late, state.key),
             rested,
         )

@@ -7,7 +7,7 @@ import pytest
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.envs.published import u_maze
-from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
 from tests.envs.sled import K, Sled
 
 MAZE = mazes.parse(u_maze.TEXT)
@@ -49,7 +49,7 @@ def test_far_from_the_goal_each_step_costs_one_or_the_distance():
 def test_walls_are_four_units_wide():
     """A ball that is pushed to the east from the start ends at the wall, 10 units away."""
     robot = robots.load("point")
-    engine = engine_lib.make(robot, "mujoco", u_maze.CELL)
+    engine = engines.make(robot, "mujoco", u_maze.CELL)
     env = u_maze.UMaze(engine, MAZE)
     state = env.reset(jax.random.key(0))
     step = jax.jit(env.step)
