@@ -68,18 +68,18 @@ class GoalMaze:
         self._engine = engine
         self._reward = reward
         limit = mazes.num_decisions * self.robot.steps_per_subgoal
-        self.course = task.prepare(mazes.replace(num_decisions=limit))
+        self.table = task.prepare(mazes.replace(num_decisions=limit))
 
     @property
     def side_xy(self) -> tuple[int, int]:
         """The mazes' sides in units, their upper left corner at the origin."""
-        num_rows, num_columns = self.course.mazes.wall.shape[-2:]
+        num_rows, num_columns = self.table.mazes.wall.shape[-2:]
         return round(num_columns * base.CELL), round(num_rows * base.CELL)
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, pose_key = jax.random.split(key, 3)
-        nav, xy = task.start(self.course, start_key, maze)
+        nav, xy = task.start(self.table, start_key, maze)
         no, zero = jnp.zeros((), bool), jnp.float32(0.0)
         walk = GoalWalk(
             nav=nav,
@@ -95,12 +95,12 @@ class GoalMaze:
         """Advances one control step; an episode that is over rests, and pays nothing."""
         walk: GoalWalk = state.inner
         is_running = ~(state.terminated | state.truncated)
-        maze = task.drawn_maze(self.course, walk.nav)
+        maze = task.drawn_maze(self.table, walk.nav)
         physics, is_broken = locomotion.move(self._engine, walk.physics, action, maze, is_running)
         xy = physics.qpos[:2]
-        nav, outcome = task.advance(self.course, walk.nav, xy[None])
+        nav, outcome = task.advance(self.table, walk.nav, xy[None])
         if self._reward == "dense":
-            outcome = task.dense(self.course, nav, xy, outcome)
+            outcome = task.dense(self.table, nav, xy, outcome)
         outcome = outcome.replace(
             terminated=outcome.terminated | is_broken, truncated=outcome.truncated & ~is_broken
         )
@@ -121,11 +121,11 @@ class GoalMaze:
     def _state(self, walk: GoalWalk, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
         """Puts together what `reset` and `step` return."""
         steps = walk.nav.decisions.astype(jnp.float32)
-        xy, success = walk.physics.qpos[:2], task.success(self.course, walk.nav)
+        xy, success = walk.physics.qpos[:2], task.success(self.table, walk.nav)
         obs = base.GoalObs(
             xy=xy,
             proprioception=walk.physics.proprioception,
-            goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.course, walk.nav)),
+            goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, walk.nav)),
             time=steps / base.TIME_UNIT,
         )
         return base.EnvState(

@@ -221,8 +221,8 @@ def _make(
             f"reward {reward!r} is unknown; choose one of {', '.join(base.REWARDS)}"
         )
     moved = engines.make(robots.load(robot), engine)
-    course = mazes.load(maze, num_decisions=num_decisions)
-    env = goal_maze.GoalMaze(moved, course, reward=cast(base.Reward, reward))
+    loaded = mazes.load(maze, num_decisions=num_decisions)
+    env = goal_maze.GoalMaze(moved, loaded, reward=cast(base.Reward, reward))
     return env, moved.model.nu
 
 

@@ -23,7 +23,7 @@ class Walker(Protocol):
     """What is asked of an environment with a walking robot, see `envs.physics_maze.PhysicsMaze`."""
 
     robot: Any
-    course: Any
+    table: Any
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
         """Draws a new episode."""
@@ -73,9 +73,9 @@ class Hierarchy:
     low_policy: LowPolicy
 
     @property
-    def course(self) -> Any:
-        """The mazes, see `envs.task.Course`."""
-        return self.env.course
+    def table(self) -> Any:
+        """The mazes, see `envs.task.MazeTable`."""
+        return self.env.table
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""

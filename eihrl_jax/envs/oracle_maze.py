@@ -111,8 +111,8 @@ class OracleMaze:
                 f"silhouettes of shape {silhouettes.shape} do not fit a view of "
                 f"{view.pixels} x {view.pixels} pixels"
             )
-        self.course = task.prepare(mazes, view.margin)
-        room = base.CELL / 2 - float(self.course.mazes.start_jitter.max())
+        self.table = task.prepare(mazes, view.margin)
+        room = base.CELL / 2 - float(self.table.mazes.start_jitter.max())
         if movement.body_radius > room:
             raise base.UserError(
                 f"movement body_radius {movement.body_radius} is above {room:.3f}, the room "
@@ -127,7 +127,7 @@ class OracleMaze:
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, posture_key = jax.random.split(key, 3)
-        nav, xy = task.start(self.course, start_key, maze)
+        nav, xy = task.start(self.table, start_key, maze)
         inner = Oracle(
             nav=nav,
             xy=xy,
@@ -145,12 +145,12 @@ class OracleMaze:
         # One draw for offset and posture, because on CPU random bits are a large part of the cost.
         draws = jax.random.uniform(draw_key, (3,), minval=_ABOVE_MINUS_ONE, maxval=1.0)
         noise = self.movement.sigma * math.sqrt(2.0) * jax.lax.erf_inv(draws[:2])
-        course, inner = self.course, state.inner
+        table, inner = self.table, state.inner
         displacement = self.movement.step * jnp.array(base.DIRECTIONS_XY)[action] + noise
         path_xy = self.move(inner.nav, inner.xy, displacement)
-        nav, outcome = task.advance(course, inner.nav, path_xy)
+        nav, outcome = task.advance(table, inner.nav, path_xy)
         if self.reward == "dense":
-            outcome = task.dense(course, nav, path_xy[-1], outcome)
+            outcome = task.dense(table, nav, path_xy[-1], outcome)
         inner = Oracle(
             nav=nav,
             xy=path_xy[-1],
@@ -162,7 +162,7 @@ class OracleMaze:
     def observe(self, inner: Oracle) -> Bool[Array, "P P C"]:
         """Draws what the high level sees."""
         silhouette = self._silhouettes[inner.posture]
-        return task.observe(self.course, inner.nav, inner.xy, silhouette, self.view)
+        return task.observe(self.table, inner.nav, inner.xy, silhouette, self.view)
 
     def move(
         self,
@@ -199,7 +199,7 @@ class OracleMaze:
 
     def _is_blocked(self, nav: task.Navigation, edge: Float[Array, "2 2"]) -> Bool[Array, ""]:
         """Tells whether one of the ends of the body's leading edge would be in a wall."""
-        one, other = task.code_at(self.course, nav, edge)
+        one, other = task.code_at(self.table, nav, edge)
         return (one | other) >= maze_lib.WALL
 
     def _pick_posture(self, uniform: Float[Array, ""]) -> Int[Array, ""]:
@@ -208,7 +208,7 @@ class OracleMaze:
 
     def _state(self, inner: Oracle, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
         """Puts together what `reset` and `step` return."""
-        inner = inner.replace(nav=task.look(self.course, inner.nav, inner.xy, self.view))
+        inner = inner.replace(nav=task.look(self.table, inner.nav, inner.xy, self.view))
         obs = self.observe(inner)
         return base.EnvState(
             inner=inner,
@@ -218,7 +218,7 @@ class OracleMaze:
             terminated=outcome.terminated,
             truncated=outcome.truncated,
             metrics={
-                "success": task.success(self.course, inner.nav),
+                "success": task.success(self.table, inner.nav),
                 "decisions": inner.nav.decisions.astype(jnp.float32),
                 "return": inner.total_reward,
             },

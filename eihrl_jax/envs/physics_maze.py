@@ -100,7 +100,7 @@ class PhysicsMaze:
           reward: "sparse" or "dense".
         """
         self.robot = engine.robot
-        self.course = task.prepare(mazes, view.margin)
+        self.table = task.prepare(mazes, view.margin)
         self.view = view
         self._reward = reward
         self._engine = engine
@@ -109,7 +109,7 @@ class PhysicsMaze:
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, pose_key = jax.random.split(key, 3)
-        nav, xy = task.start(self.course, start_key, maze)
+        nav, xy = task.start(self.table, start_key, maze)
         no = jnp.zeros((), bool)
         body = Body(
             physics=locomotion.draw_pose(self._engine, xy, pose_key),
@@ -128,7 +128,7 @@ class PhysicsMaze:
         """Begins a decision; in an episode that is over the robot rests through it."""
         walk: Walk = state.inner
         subgoal = Subgoal(
-            maze=task.drawn_maze(self.course, walk.nav),
+            maze=task.drawn_maze(self.table, walk.nav),
             nav=walk.nav,
             start_xy=walk.body.physics.qpos[:2],
             direction=direction,
@@ -153,7 +153,7 @@ class PhysicsMaze:
             self._engine, body.physics, ctrl, subgoal.maze, body.is_running
         )
         nav = subgoal.nav.replace(visited=body.visited)
-        nav, outcome = task.advance(self.course, nav, physics.qpos[None, :2])
+        nav, outcome = task.advance(self.table, nav, physics.qpos[None, :2])
         is_done = outcome.terminated if self._reward == "sparse" else jnp.zeros((), bool)
         is_fallen = locomotion.is_fallen(physics.qpos, self.robot)
         return Body(
@@ -175,9 +175,9 @@ class PhysicsMaze:
           path_xy: torso positions after each control step, units.
         """
         walk: Walk = state.inner
-        nav, outcome = task.advance(self.course, walk.nav, path_xy)
+        nav, outcome = task.advance(self.table, walk.nav, path_xy)
         if self._reward == "dense":
-            outcome = task.dense(self.course, nav, path_xy[-1], outcome)
+            outcome = task.dense(self.table, nav, path_xy[-1], outcome)
         outcome = outcome.replace(
             terminated=outcome.terminated | body.is_broken,
             truncated=outcome.truncated & ~body.is_broken,
@@ -188,13 +188,13 @@ class PhysicsMaze:
     def _state(self, walk: Walk, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
         """Puts together what `reset` and `end` return."""
         xy = walk.body.physics.qpos[:2]
-        walk = walk.replace(nav=task.look(self.course, walk.nav, xy, self.view))
+        walk = walk.replace(nav=task.look(self.table, walk.nav, xy, self.view))
         start, end, radius = self._capsules(walk.body.physics.qpos)
         silhouette = raster.footprint(
             start[:, :2] - xy[None], end[:, :2] - xy[None], radius, self.view
         )
         packed = raster.pack(silhouette, self.view)
-        obs = task.observe(self.course, walk.nav, xy, packed, self.view)
+        obs = task.observe(self.table, walk.nav, xy, packed, self.view)
         return base.EnvState(
             inner=walk,
             obs=obs,
@@ -203,7 +203,7 @@ class PhysicsMaze:
             terminated=outcome.terminated,
             truncated=outcome.truncated,
             metrics={
-                "success": task.success(self.course, walk.nav),
+                "success": task.success(self.table, walk.nav),
                 "decisions": walk.nav.decisions.astype(jnp.float32),
                 "return": walk.total_reward,
                 "fell": walk.body.has_fallen.astype(jnp.float32),

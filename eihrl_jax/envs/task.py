@@ -25,7 +25,7 @@ NO_DOOR = -1000
 """Row and column of the open door in a maze without door candidates: farther than one can see."""
 
 
-class Course(struct.PyTreeNode):
+class MazeTable(struct.PyTreeNode):
     """M mazes prepared for the task; R and C as in `Maze`.
 
     Attributes:
@@ -59,7 +59,7 @@ class Navigation(struct.PyTreeNode):
     """Where an episode stands.
 
     Attributes:
-      maze: int32, which maze of the course.
+      maze: int32, which maze of the table.
       door_ij: int32 [2], row and column of the open door, or `NO_DOOR`.
       visited: bool [9], goals that have been paid.
       decisions: int32, decisions so far.
@@ -87,7 +87,7 @@ class Outcome(struct.PyTreeNode):
     truncated: Bool[Array, ""]
 
 
-def prepare(mazes: maze_lib.Maze, margin: int = 1) -> Course:
+def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
     """Prepares one maze, or several with a leading axis, for the task; host side.
 
     Args:
@@ -98,7 +98,7 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> Course:
         mazes = jax.tree.map(lambda leaf: leaf[None], mazes)
     starts = [paths.cells(mask) for mask in np.asarray(mazes.start)]
     doors = [paths.cells(mask) or [(NO_DOOR, NO_DOOR)] for mask in np.asarray(mazes.door)]
-    return Course(
+    return MazeTable(
         mazes=mazes,
         codes=jnp.pad(
             maze_lib.codes(mazes),
@@ -115,12 +115,12 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> Course:
 
 
 def start(
-    course: Course, key: Key[Array, ""], maze: Int[Array, ""] | None = None
+    table: MazeTable, key: Key[Array, ""], maze: Int[Array, ""] | None = None
 ) -> tuple[Navigation, Float[Array, "2"]]:
     """Draws maze, door and start of an episode, each uniformly.
 
     Args:
-      course: the mazes.
+      table: the mazes.
       key: consumed.
       maze: which maze it is to be; None: any.
 
@@ -129,51 +129,51 @@ def start(
     """
     draws = jax.random.uniform(key, (5,))
     if maze is None:
-        maze = pick(draws[0], jnp.int32(course.num_mazes))
-    door = pick(draws[1], _of(course.num_doors, maze))
-    cell = pick(draws[2], _of(course.num_starts, maze))
-    offset = (2.0 * draws[3:] - 1.0) * _of(course.mazes.start_jitter, maze)
+        maze = pick(draws[0], jnp.int32(table.num_mazes))
+    door = pick(draws[1], _of(table.num_doors, maze))
+    cell = pick(draws[2], _of(table.num_starts, maze))
+    offset = (2.0 * draws[3:] - 1.0) * _of(table.mazes.start_jitter, maze)
     nav = Navigation(
         maze=maze,
-        door_ij=_of(course.door_ij, maze)[door],
+        door_ij=_of(table.door_ij, maze)[door],
         visited=jnp.zeros(maze_lib.MAX_GOALS, bool),
         decisions=jnp.int32(0),
     )
-    return nav, maze_lib.cell_xy(_of(course.start_ij, maze)[cell]) + offset
+    return nav, maze_lib.cell_xy(_of(table.start_ij, maze)[cell]) + offset
 
 
 def advance(
-    course: Course, nav: Navigation, path_xy: Float[Array, "T 2"]
+    table: MazeTable, nav: Navigation, path_xy: Float[Array, "T 2"]
 ) -> tuple[Navigation, Outcome]:
     """Counts one decision and pays the goals that the torso entered during it.
 
     Args:
-      course: the mazes.
+      table: the mazes.
       nav: the episode before the decision.
       path_xy: torso positions during the decision, the last one where it ended, units.
     """
-    found = code_at(course, nav, path_xy)
+    found = code_at(table, nav, path_xy)
     numbers = jnp.arange(1, maze_lib.MAX_GOALS + 1, dtype=jnp.uint8)
     visited = nav.visited | (found[:, None] == numbers[None]).any(0)
     reward = (visited & ~nav.visited).sum(dtype=jnp.float32)
     decisions = nav.decisions + 1
-    terminated = visited.sum(dtype=jnp.int32) >= _of(course.mazes.num_goals, nav.maze)
-    is_late = decisions >= _of(course.mazes.num_decisions, nav.maze)
+    terminated = visited.sum(dtype=jnp.int32) >= _of(table.mazes.num_goals, nav.maze)
+    is_late = decisions >= _of(table.mazes.num_decisions, nav.maze)
     outcome = Outcome(reward=reward, terminated=terminated, truncated=is_late & ~terminated)
     return nav.replace(visited=visited, decisions=decisions), outcome
 
 
-def success(course: Course, nav: Navigation) -> Float[Array, ""]:
+def success(table: MazeTable, nav: Navigation) -> Float[Array, ""]:
     """Returns the visited share of the goals, the paper's success."""
     visited = nav.visited.sum(dtype=jnp.float32)
-    return visited / _of(course.mazes.num_goals, nav.maze).astype(jnp.float32)
+    return visited / _of(table.mazes.num_goals, nav.maze).astype(jnp.float32)
 
 
-def dense(course: Course, nav: Navigation, xy: Float[Array, "2"], outcome: Outcome) -> Outcome:
+def dense(table: MazeTable, nav: Navigation, xy: Float[Array, "2"], outcome: Outcome) -> Outcome:
     """Turns the outcome of a decision into that of the dense task (paper, App. D.2).
 
     Args:
-      course: the mazes.
+      table: the mazes.
       nav: the episode after the decision.
       xy: where the torso is then, units.
       outcome: of the sparse task.
@@ -183,53 +183,53 @@ def dense(course: Course, nav: Navigation, xy: Float[Array, "2"], outcome: Outco
       decision that is left, for else it would pay to wait beside the goal.
     """
     return outcome.replace(
-        reward=dense_reward(course, nav, xy),
+        reward=dense_reward(table, nav, xy),
         terminated=jnp.zeros_like(outcome.terminated),
-        truncated=nav.decisions >= _of(course.mazes.num_decisions, nav.maze),
+        truncated=nav.decisions >= _of(table.mazes.num_decisions, nav.maze),
     )
 
 
-def current_goal_xy(course: Course, nav: Navigation) -> Float[Array, "2"]:
+def current_goal_xy(table: MazeTable, nav: Navigation) -> Float[Array, "2"]:
     """Returns the centre of the unvisited goal with the lowest number, units.
 
     Once all have been visited, it is that of the last one.
     """
-    last = _of(course.mazes.num_goals, nav.maze) - 1
+    last = _of(table.mazes.num_goals, nav.maze) - 1
     current = jnp.where(nav.visited.all(), last, jnp.minimum(jnp.argmin(nav.visited), last))
     is_door = (current == 0) & (nav.door_ij[0] != NO_DOOR)
     door_xy = maze_lib.cell_xy(nav.door_ij)
-    return jnp.where(is_door, door_xy, _of(course.goal_xy, nav.maze)[current])
+    return jnp.where(is_door, door_xy, _of(table.goal_xy, nav.maze)[current])
 
 
-def dense_reward(course: Course, nav: Navigation, xy: Float[Array, "2"]) -> Float[Array, ""]:
+def dense_reward(table: MazeTable, nav: Navigation, xy: Float[Array, "2"]) -> Float[Array, ""]:
     """Returns 1 / (1 + d), d the distance in units to the current goal (paper, App. D.2).
 
     Once all goals have been visited, the reward is that of having arrived, 1.
     """
-    distance = jnp.sqrt(((current_goal_xy(course, nav) - xy) ** 2).sum())
+    distance = jnp.sqrt(((current_goal_xy(table, nav) - xy) ** 2).sum())
     current = jnp.argmin(nav.visited)
-    has_arrived = nav.visited[current] | (current >= _of(course.mazes.num_goals, nav.maze))
+    has_arrived = nav.visited[current] | (current >= _of(table.mazes.num_goals, nav.maze))
     return jnp.where(has_arrived, 1.0, 1.0 / (1.0 + distance))
 
 
-def code_at(course: Course, nav: Navigation, xy: Float[Array, "*k 2"]) -> UInt8[Array, "*k"]:
+def code_at(table: MazeTable, nav: Navigation, xy: Float[Array, "*k 2"]) -> UInt8[Array, "*k"]:
     """Returns the codes (see `mazes.maze.codes`) at positions in units, the open door a goal."""
     i = jnp.floor(-xy[..., 1] / base.CELL).astype(jnp.int32)
     j = jnp.floor(xy[..., 0] / base.CELL).astype(jnp.int32)
-    return _codes(course, nav, i, j)
+    return _codes(table, nav, i, j)
 
 
-def look(course: Course, nav: Navigation, xy: Float[Array, "2"], view: raster.View) -> Navigation:
+def look(table: MazeTable, nav: Navigation, xy: Float[Array, "2"], view: raster.View) -> Navigation:
     """Adds to the map, where the view has one, what is in sight at `xy`."""
     if view.map_radius == 0:
         return nav
-    shape = course.codes.shape
-    here = raster.in_sight((shape[1], shape[2]), course.margin, xy, view)
+    shape = table.codes.shape
+    here = raster.in_sight((shape[1], shape[2]), table.margin, xy, view)
     return nav.replace(seen=here if nav.seen is None else nav.seen | here)
 
 
 def observe(
-    course: Course,
+    table: MazeTable,
     nav: Navigation,
     xy: Float[Array, "2"],
     silhouette: UInt32[Array, "P W"],
@@ -237,14 +237,14 @@ def observe(
 ) -> Bool[Array, "n n C"]:
     """Draws what the high level sees, see `raster.draw` and `raster.draw_map`."""
     if view.map_radius > 0:
-        return raster.draw_map(*_around(course, nav, xy, view.map_radius), nav.visited)
-    codes = _codes(course, nav, *raster.window(xy, view))
+        return raster.draw_map(*_around(table, nav, xy, view.map_radius), nav.visited)
+    codes = _codes(table, nav, *raster.window(xy, view))
     return raster.draw(codes, xy, nav.visited, silhouette, view)
 
 
-def drawn_maze(course: Course, nav: Navigation) -> maze_lib.Maze:
+def drawn_maze(table: MazeTable, nav: Navigation) -> maze_lib.Maze:
     """Returns the maze of an episode with its door open, without leading axis."""
-    maze = jax.tree.map(lambda leaf: _of(leaf, nav.maze), course.mazes)
+    maze = jax.tree.map(lambda leaf: _of(leaf, nav.maze), table.mazes)
     return maze_lib.open_door(maze, nav.door_ij)
 
 
@@ -255,36 +255,36 @@ def pick(uniform: Float[Array, ""], num: Int[Array, ""]) -> Int[Array, ""]:
 
 
 def _codes(
-    course: Course, nav: Navigation, i: Int[Array, "*#k"], j: Int[Array, "*#k"]
+    table: MazeTable, nav: Navigation, i: Int[Array, "*#k"], j: Int[Array, "*#k"]
 ) -> UInt8[Array, "*k"]:
     """Returns the codes of cells, those outside the grid wall and the open door goal 1."""
-    num_mazes, rows, columns = course.codes.shape
+    num_mazes, rows, columns = table.codes.shape
     # One flat index that can't be out of bounds: look-ups by several are much slower on CPU.
-    padded_i, padded_j = i + course.margin, j + course.margin
+    padded_i, padded_j = i + table.margin, j + table.margin
     flat = jnp.clip(padded_i, 0, rows - 1) * columns + jnp.clip(padded_j, 0, columns - 1)
     if num_mazes > 1:
         flat += nav.maze * rows * columns
-    codes = course.codes.reshape(-1).at[flat].get(mode="promise_in_bounds")
+    codes = table.codes.reshape(-1).at[flat].get(mode="promise_in_bounds")
     is_door = (i == nav.door_ij[0]) & (j == nav.door_ij[1])
     return jnp.where(is_door, jnp.uint8(1), codes)
 
 
 def _around(
-    course: Course, nav: Navigation, xy: Float[Array, "2"], radius: int
+    table: MazeTable, nav: Navigation, xy: Float[Array, "2"], radius: int
 ) -> tuple[UInt8[Array, "n n"], Bool[Array, "n n"]]:
     """Returns the codes of the cells around the torso's, and which of them have been seen."""
     size, span = 2 * radius + 1, jnp.arange(-radius, radius + 1)
     i, j = maze_lib.cell_ij(xy)
-    corner = i + course.margin - radius, j + course.margin - radius
-    codes = jax.lax.dynamic_slice(course.codes, (nav.maze, *corner), (1, size, size))[0]
+    corner = i + table.margin - radius, j + table.margin - radius
+    codes = jax.lax.dynamic_slice(table.codes, (nav.maze, *corner), (1, size, size))[0]
     is_door = (i + span == nav.door_ij[0])[:, None] & (j + span == nav.door_ij[1])[None]
     seen = jax.lax.dynamic_slice(cast(Array, nav.seen), corner, (size, size))
     return jnp.where(is_door, jnp.uint8(1), codes), seen
 
 
-def _of(table: Array, maze: Int[Array, ""]) -> Array:
-    """Returns one maze's part of a table; of a single maze without a look-up."""
-    return table[0] if table.shape[0] == 1 else table[maze]
+def _of(column: Array, maze: Int[Array, ""]) -> Array:
+    """Returns one maze's entry in a column of the table; of a single maze without a look-up."""
+    return column[0] if column.shape[0] == 1 else column[maze]
 
 
 def _padded(cells: list[list[paths.Cell]]) -> Int[Array, "M K 2"]:

@@ -37,13 +37,13 @@ class BaselineMaze:
 
     Attributes:
       env: the maze.
-      course: the same mazes with their time limits in decisions.
+      table: the same mazes with their time limits in decisions.
       system: the baseline.
       policy: its parameters.
     """
 
     env: goal_maze.GoalMaze
-    course: task.Course
+    table: task.MazeTable
     system: system_lib.System
     policy: dict[str, Any]
 
@@ -112,7 +112,7 @@ def load(
     options = codec.from_json(type(presets.BASELINES[method]), text, source=str(path))
     env = goal_maze.GoalMaze(engine, stacked, reward=reward)
     width, height = policies.entry(meta, "side_xy", path)
-    steps = int(env.course.mazes.num_decisions.max())
+    steps = int(env.table.mazes.num_decisions.max())
     system = system_lib.make(env, engine.model.nu, (width, height), steps, options)
     expected = jax.eval_shape(lambda key: system.policy(system.init(key)), jax.random.key(0))
     checkpoint.check_same(path, policy, expected)

@@ -39,7 +39,7 @@ class Traced(Protocol):
     """An environment of decisions that also tells the way, see `envs.hierarchy.Hierarchy`."""
 
     @property
-    def course(self) -> task.Course:
+    def table(self) -> task.MazeTable:
         """Its mazes."""
         ...
 
@@ -255,7 +255,7 @@ class _Loop:
         env_keys, high_keys = _streams(padded, list(self._plan.mazes))
         index = jnp.asarray(padded[:, 1], jnp.int32)
         states = self._programs.reset(env_keys, index)
-        limit = self._env.course.mazes.num_decisions[index][: len(rows)]
+        limit = self._env.table.mazes.num_decisions[index][: len(rows)]
         is_recorded = (rows[:, 0] == self._plan.seeds[0]) & (rows[:, 2] < self._plan.num_recorded)
         recorded = np.flatnonzero(is_recorded)
         history: list[Step] = []
@@ -311,7 +311,7 @@ def _streams(
 
 def _bins(env: Traced) -> tuple[int, int]:
     """Returns the number of bins along and across the mazes."""
-    _, rows, columns = env.course.mazes.wall.shape
+    _, rows, columns = env.table.mazes.wall.shape
     return rows * BINS_PER_CELL, columns * BINS_PER_CELL
 
 
@@ -347,7 +347,7 @@ def _recording(
     nav = jax.tree.map(lambda leaf: leaf[row], states.inner.nav)
     name = list(plan.mazes)[int(nav.maze)]
     rows, columns = plan.mazes[name].wall.shape
-    maze = task.drawn_maze(env.course, nav)
+    maze = task.drawn_maze(env.table, nav)
     maze = maze.replace(
         **{
             field: getattr(maze, field)[:rows, :columns]

@@ -60,9 +60,9 @@ class TracedOracle:
     qpos: Float[Array, "N nq"]
 
     @property
-    def course(self) -> task.Course:
+    def table(self) -> task.MazeTable:
         """Its mazes."""
-        return self.env.course
+        return self.env.table
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""

@@ -171,7 +171,7 @@ def _walking(options: high_config.HighConfig) -> hierarchy.Hierarchy:
     moved = high.make_env(task, options.seed)
     low_policy = systems.load_low(task.robot, robot)
     engine = engines.make(robot, "mujoco")
-    return systems.full(engine, moved.course.mazes, moved.view, low_policy, reward=task.reward)
+    return systems.full(engine, moved.table.mazes, moved.view, low_policy, reward=task.reward)
 
 
 def _in_rows(

@@ -71,7 +71,7 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
         trained_in = goal_maze.GoalMaze(engine, mazes_in, reward=config.reward)
     if isinstance(config, config_lib.FlatConfig):
         trained_in = wrappers.AutoReset(trained_in)
-    steps = int(env.course.mazes.num_decisions.max())
+    steps = int(env.table.mazes.num_decisions.max())
     if isinstance(config, hess_config.HessConfig) and config.period >= steps:
         raise base.UserError(
             f"period = {config.period} must be smaller than the {steps} control steps of an episode"

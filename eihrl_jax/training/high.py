@@ -67,7 +67,7 @@ def train(config: high_config.HighConfig, walking: base.Environment | None = Non
                 advance = update.lower(state).compile()
             with progress.compiling("evaluation"):
                 envs = {"eval": env} | ({} if walking is None else {"walking": walking})
-                limit = int(env.course.mazes.num_decisions.max())
+                limit = int(env.table.mazes.num_decisions.max())
                 evaluate = _compile_evaluations(envs, limit, config, state)
             while done < num_updates:
                 state, metrics = advance(state)
@@ -121,7 +121,7 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
       base.UserError: the window is longer than an episode, or there are more decisions than can be
         counted.
     """
-    limits = env.course.mazes.num_decisions
+    limits = env.table.mazes.num_decisions
     window = config.learner.window
     trained_in: base.Environment = env
     if window is not None:

@@ -34,7 +34,7 @@ class Line:
     """
 
     robot = types.SimpleNamespace(steps_per_subgoal=K)
-    course = None
+    table = None
 
     def reset(self, key, maze=None):
         """Starts at zero."""

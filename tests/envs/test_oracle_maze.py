@@ -66,12 +66,12 @@ def move_slowly(wall, xy, displacement, movement):
 def test_movement_agrees_with_a_slow_one_that_tests_the_whole_body():
     env = make(THREE, body_radius=0.6)
     rng = np.random.default_rng(1)
-    nav, xy = jax.jit(jax.vmap(functools.partial(task.start, env.course)))(
+    nav, xy = jax.jit(jax.vmap(functools.partial(task.start, env.table)))(
         jax.random.split(jax.random.key(0), 200)
     )
     displacement = rng.normal(0, 2.5, (200, 2)).astype(np.float32)
     paths = jax.jit(jax.vmap(env.move))(nav, xy, jnp.asarray(displacement))
-    walls = np.asarray(jax.jit(jax.vmap(functools.partial(task.drawn_maze, env.course)))(nav).wall)
+    walls = np.asarray(jax.jit(jax.vmap(functools.partial(task.drawn_maze, env.table)))(nav).wall)
     for wall, start, move, path in zip(walls, np.asarray(xy), displacement, paths, strict=True):
         assert path == pytest.approx(move_slowly(wall, start, move, env.movement), abs=1e-4)
 
@@ -88,7 +88,7 @@ def test_the_body_never_enters_a_wall_nor_leaves_the_grid(walks):
     env, _, states = walks
     corners = jnp.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
     at = states.inner.xy[:, :, None] + (env.movement.body_radius - 1e-4) * corners[None, None]
-    code_at = jax.vmap(jax.vmap(functools.partial(task.code_at, env.course)))
+    code_at = jax.vmap(jax.vmap(functools.partial(task.code_at, env.table)))
     assert (jax.jit(code_at)(states.inner.nav, at) < 128).all()
 
 
@@ -113,7 +113,7 @@ def test_observation_and_metrics_fit_the_state(walks):
     env, _, states = walks
     assert (states.obs == states.final_obs).all()
     assert (states.metrics["return"] == jnp.cumsum(states.reward, 0)).all()
-    expected = jax.vmap(functools.partial(task.success, env.course))(
+    expected = jax.vmap(functools.partial(task.success, env.table))(
         jax.tree.map(lambda leaf: leaf[-1], states.inner.nav)
     )
     assert (states.metrics["success"][-1] == expected).all()

@@ -156,7 +156,7 @@ def test_reset_draws_anew_in_the_maze_asked_for(maze):
     assert len(np.unique(starts, axis=0)) == 8
     assert len(np.unique(np.asarray(states.inner.nav.door_ij[1::2]), axis=0)) > 3
     xy = states.inner.body.physics.qpos[:, :2]
-    codes = jax.jit(jax.vmap(task.code_at, (None, 0, 0)))(env.course, states.inner.nav, xy)
+    codes = jax.jit(jax.vmap(task.code_at, (None, 0, 0)))(env.table, states.inner.nav, xy)
     assert (codes == 0).all()
 
 

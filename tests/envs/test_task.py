@@ -10,12 +10,12 @@ from eihrl_jax.mazes import maze as maze_lib
 SEVEN = mazes.stack([mazes.load(name) for name in mazes.NAMES])
 
 
-def starts(course, num, seed=0):
+def starts(table, num, seed=0):
     keys = jax.random.split(jax.random.key(seed), num)
-    return jax.jit(jax.vmap(task.start, (None, 0)))(course, keys)
+    return jax.jit(jax.vmap(task.start, (None, 0)))(table, keys)
 
 
-def at(course, **fields):
+def at(table, **fields):
     nav = task.Navigation(
         maze=jnp.int32(0),
         door_ij=jnp.array([task.NO_DOOR] * 2),
@@ -30,11 +30,11 @@ def centre(i, j):
 
 
 def test_an_episode_begins_on_a_free_start_cell_apart_from_goals():
-    course = task.prepare(SEVEN)
-    nav, xy = starts(course, 300)
+    table = task.prepare(SEVEN)
+    nav, xy = starts(table, 300)
     for maze in range(7):
         assert (nav.maze == maze).sum() > 20
-    codes = jax.vmap(task.code_at, (None, 0, 0))(course, nav, xy)
+    codes = jax.vmap(task.code_at, (None, 0, 0))(table, nav, xy)
     assert (codes == 0).all()
     ij = jax.vmap(maze_lib.cell_ij)(xy)
     assert SEVEN.start[nav.maze, ij[:, 0], ij[:, 1]].all()
@@ -62,29 +62,29 @@ def test_a_maze_without_candidates_has_no_door():
 
 
 def test_the_open_door_is_a_goal_and_the_others_are_wall():
-    course = task.prepare(mazes.load("random"))
-    nav = at(course, door_ij=jnp.array([3, 8]))
-    assert task.code_at(course, nav, centre(3, 8)) == 1
-    assert task.code_at(course, nav, centre(4, 8)) == maze_lib.WALL
-    assert task.code_at(course, nav, centre(3, 9)) == maze_lib.WALL
-    assert task.code_at(course, nav, jnp.array([1e6, -1e6])) == maze_lib.WALL
-    drawn = task.drawn_maze(course, nav)
+    table = task.prepare(mazes.load("random"))
+    nav = at(table, door_ij=jnp.array([3, 8]))
+    assert task.code_at(table, nav, centre(3, 8)) == 1
+    assert task.code_at(table, nav, centre(4, 8)) == maze_lib.WALL
+    assert task.code_at(table, nav, centre(3, 9)) == maze_lib.WALL
+    assert task.code_at(table, nav, jnp.array([1e6, -1e6])) == maze_lib.WALL
+    drawn = task.drawn_maze(table, nav)
     assert (drawn.goal[3, 8], drawn.wall.sum()) == (1, 31)
 
 
 def test_codes_agree_with_the_drawn_maze():
-    course = task.prepare(SEVEN)
-    nav, _ = starts(course, 40)
+    table = task.prepare(SEVEN)
+    nav, _ = starts(table, 40)
     rng = np.random.default_rng(0)
     xy = jnp.asarray(rng.uniform(-5, 75, (40, 50, 2)) * [1, -1], jnp.float32)
 
     @jax.jit
     @jax.vmap
     def look_up(nav, xy):
-        drawn = task.drawn_maze(course, nav)
+        drawn = task.drawn_maze(table, nav)
         is_wall = jax.vmap(maze_lib.is_wall, (None, 0))(drawn, xy)
         goal = jax.vmap(maze_lib.goal_at, (None, 0))(drawn, xy)
-        return task.code_at(course, nav, xy), is_wall, goal
+        return task.code_at(table, nav, xy), is_wall, goal
 
     codes, is_wall, goal = map(np.asarray, look_up(nav, xy))
     assert ((codes == maze_lib.WALL) == is_wall).all()
@@ -92,87 +92,87 @@ def test_codes_agree_with_the_drawn_maze():
 
 
 def test_a_goal_pays_once_in_any_order_and_the_last_terminates():
-    course = task.prepare(mazes.load("s"))
-    nav = at(course)
+    table = task.prepare(mazes.load("s"))
+    nav = at(table)
     third, first, second = centre(7, 15)[None], centre(6, 5)[None], centre(2, 10)[None]
     rewards, ends = [], []
     for path in (third, third, centre(1, 1)[None], jnp.concatenate([first, first]), second):
-        nav, outcome = task.advance(course, nav, path)
+        nav, outcome = task.advance(table, nav, path)
         rewards.append(float(outcome.reward))
         ends.append(bool(outcome.terminated))
         assert not outcome.truncated
     assert rewards == [1.0, 0.0, 0.0, 1.0, 1.0]
     assert ends == [False] * 4 + [True]
-    assert (nav.decisions, task.success(course, nav)) == (5, 1.0)
+    assert (nav.decisions, task.success(table, nav)) == (5, 1.0)
 
 
 def test_goals_are_paid_along_the_way():
-    course = task.prepare(mazes.load("s"))
+    table = task.prepare(mazes.load("s"))
     path = jnp.stack([centre(6, 4), centre(6, 5), centre(6, 6), centre(2, 10), centre(3, 11)])
-    nav, outcome = task.advance(course, at(course), path)
+    nav, outcome = task.advance(table, at(table), path)
     assert outcome.reward == 2.0
-    assert task.success(course, nav) == pytest.approx(2 / 3)
+    assert task.success(table, nav) == pytest.approx(2 / 3)
 
 
 def test_the_time_limit_truncates_unless_the_last_decision_succeeds():
-    course = task.prepare(mazes.load("g1"))
-    nav = at(course, decisions=jnp.int32(22))
-    nav, outcome = task.advance(course, nav, centre(1, 1)[None])
+    table = task.prepare(mazes.load("g1"))
+    nav = at(table, decisions=jnp.int32(22))
+    nav, outcome = task.advance(table, nav, centre(1, 1)[None])
     assert not (outcome.terminated | outcome.truncated)
-    _, outcome = task.advance(course, nav, centre(1, 1)[None])
+    _, outcome = task.advance(table, nav, centre(1, 1)[None])
     assert (outcome.terminated, outcome.truncated) == (False, True)
-    _, outcome = task.advance(course, nav, centre(0, 5)[None])
+    _, outcome = task.advance(table, nav, centre(0, 5)[None])
     assert (outcome.terminated, outcome.truncated) == (True, False)
 
 
 def test_dense_reward_is_that_of_the_lowest_unvisited_goal():
-    course = task.prepare(mazes.load("s"))
-    nav = at(course)
+    table = task.prepare(mazes.load("s"))
+    nav = at(table)
     xy = centre(6, 1) + jnp.array([0.0, -1.5])  # level with goal 1's centre, 12 units away
-    assert task.dense_reward(course, nav, xy) == pytest.approx(1 / 13)
+    assert task.dense_reward(table, nav, xy) == pytest.approx(1 / 13)
     nav = nav.replace(visited=jnp.arange(9) == 0)
     distance = np.hypot(9 * 3.0, 5.0 * 3.0)
-    assert task.dense_reward(course, nav, xy) == pytest.approx(1 / (1 + distance))
+    assert task.dense_reward(table, nav, xy) == pytest.approx(1 / (1 + distance))
     nav = nav.replace(visited=jnp.arange(9) != 1)
-    assert task.dense_reward(course, nav, xy) == pytest.approx(1 / (1 + distance))
-    assert task.dense_reward(course, nav.replace(visited=jnp.arange(9) < 3), xy) == 1.0
+    assert task.dense_reward(table, nav, xy) == pytest.approx(1 / (1 + distance))
+    assert task.dense_reward(table, nav.replace(visited=jnp.arange(9) < 3), xy) == 1.0
 
 
 def test_after_nine_goals_the_last_one_stays_the_current():
-    course = task.prepare(mazes.parse("############\n#S123456789#\n############\n"))
+    table = task.prepare(mazes.parse("############\n#S123456789#\n############\n"))
     for num_visited, column in ((0, 2), (8, 10), (9, 10)):
-        nav = at(course, visited=jnp.arange(9) < num_visited)
-        np.testing.assert_array_equal(task.current_goal_xy(course, nav), centre(1, column))
+        nav = at(table, visited=jnp.arange(9) < num_visited)
+        np.testing.assert_array_equal(task.current_goal_xy(table, nav), centre(1, column))
 
 
 def test_the_dense_task_goes_on_after_the_last_goal_and_pays_in_full():
-    course = task.prepare(mazes.load("u", num_decisions=2))
-    nav, outcome = task.advance(course, at(course), centre(1, 1)[None])
+    table = task.prepare(mazes.load("u", num_decisions=2))
+    nav, outcome = task.advance(table, at(table), centre(1, 1)[None])
     assert outcome.terminated
-    found = task.dense(course, nav, centre(7, 1), outcome)
+    found = task.dense(table, nav, centre(7, 1), outcome)
     assert (found.reward, found.terminated, found.truncated) == (1.0, False, False)
-    nav, outcome = task.advance(course, nav, centre(7, 1)[None])
-    assert task.dense(course, nav, centre(7, 1), outcome).truncated
+    nav, outcome = task.advance(table, nav, centre(7, 1)[None])
+    assert task.dense(table, nav, centre(7, 1), outcome).truncated
 
 
 def test_dense_reward_of_a_door_and_its_least_value_in_the_random_square():
-    course = task.prepare(mazes.load("random"))
-    nav = at(course, door_ij=jnp.array([0, 7]))
-    assert task.dense_reward(course, nav, centre(0, 7)) == 1.0
+    table = task.prepare(mazes.load("random"))
+    nav = at(table, door_ij=jnp.array([0, 7]))
+    assert task.dense_reward(table, nav, centre(0, 7)) == 1.0
     # Paper, App. D.2: about 0.03 at least.
-    assert task.dense_reward(course, nav, centre(7, 1)) == pytest.approx(0.035, abs=2e-3)
+    assert task.dense_reward(table, nav, centre(7, 1)) == pytest.approx(0.035, abs=2e-3)
 
 
 def test_the_picture_is_that_of_the_drawn_maze():
-    course = task.prepare(SEVEN)
+    table = task.prepare(SEVEN)
     view = raster.View()
-    nav, xy = starts(course, 30)
+    nav, xy = starts(table, 30)
     silhouette = jnp.asarray(np.random.default_rng(0).random((15, 15)) < 0.1)
 
     def both(nav, xy):
-        drawn = task.drawn_maze(course, nav)
+        drawn = task.drawn_maze(table, nav)
         expected = raster.patch(drawn, xy, nav.visited, silhouette, view)
-        return task.observe(course, nav, xy, raster.pack(silhouette, view), view), expected
+        return task.observe(table, nav, xy, raster.pack(silhouette, view), view), expected
 
     seen, expected = jax.jit(jax.vmap(both))(nav, xy)
     assert (seen == expected).all()
@@ -189,10 +189,10 @@ MAP = raster.View(extent=9.0, pixels=15, map_radius=3)
 
 
 def test_the_map_shows_what_has_been_in_sight_and_nothing_else():
-    course = task.prepare(mazes.load("g1"), MAP.margin)
+    table = task.prepare(mazes.load("g1"), MAP.margin)
     silhouette = jnp.zeros((15, 1), jnp.uint32)
-    nav = task.look(course, at(course), centre(7, 2), MAP)
-    chart = np.asarray(task.observe(course, nav, centre(7, 2), silhouette, MAP))
+    nav = task.look(table, at(table), centre(7, 2), MAP)
+    chart = np.asarray(task.observe(table, nav, centre(7, 2), silhouette, MAP))
     assert chart.shape == MAP.obs_shape == (7, 7, 4)
     wall, goal, robot, unseen = np.moveaxis(chart, -1, 0)
     assert np.argwhere(robot).tolist() == [[3, 3]]
@@ -203,9 +203,9 @@ def test_the_map_shows_what_has_been_in_sight_and_nothing_else():
     assert np.argwhere(wall).tolist() == [[4, 2], [4, 3], [4, 4]]
     assert not goal.any()
     # One cell to the north: what was seen moves down on the map and stays on it.
-    nav = task.look(course, nav, centre(6, 2), MAP)
+    nav = task.look(table, nav, centre(6, 2), MAP)
     wall, _, _, unseen = np.moveaxis(
-        np.asarray(task.observe(course, nav, centre(6, 2), silhouette, MAP)), -1, 0
+        np.asarray(task.observe(table, nav, centre(6, 2), silhouette, MAP)), -1, 0
     )
     assert np.argwhere(wall).tolist() == [[2, 4], [5, 2], [5, 3], [5, 4]]
     assert not unseen[2:6, 2:5].any() and unseen.sum() == 49 - 12
@@ -219,28 +219,28 @@ def test_a_view_off_the_middle_of_a_cell_touches_a_fourth_column():
 
 
 def test_the_map_shows_the_open_door_until_it_is_paid_and_walls_beyond_the_grid():
-    course = task.prepare(mazes.load("random"), MAP.margin)
+    table = task.prepare(mazes.load("random"), MAP.margin)
     silhouette = jnp.zeros((15, 1), jnp.uint32)
-    nav = at(course, door_ij=jnp.array([1, 8]))
-    nav = task.look(course, nav, centre(1, 7), MAP)
-    chart = task.observe(course, nav, centre(1, 7), silhouette, MAP)
+    nav = at(table, door_ij=jnp.array([1, 8]))
+    nav = task.look(table, nav, centre(1, 7), MAP)
+    chart = task.observe(table, nav, centre(1, 7), silhouette, MAP)
     assert np.argwhere(np.asarray(chart[..., 1])).tolist() == [[3, 4]]
     assert np.asarray(chart[..., 0]).sum() == 4  # three in the north, one beside the door
     paid = nav.replace(visited=nav.visited.at[0].set(True))
-    assert not task.observe(course, paid, centre(1, 7), silhouette, MAP)[..., 1].any()
-    beyond = task.look(course, nav, centre(0, 8), MAP)
-    chart = np.asarray(task.observe(course, beyond, centre(0, 8), silhouette, MAP))
+    assert not task.observe(table, paid, centre(1, 7), silhouette, MAP)[..., 1].any()
+    beyond = task.look(table, nav, centre(0, 8), MAP)
+    chart = np.asarray(task.observe(table, beyond, centre(0, 8), silhouette, MAP))
     assert chart[2, 3, 0] and chart[2, 4, 0]
 
 
 def test_a_map_of_several_mazes_is_that_of_the_episode_s_maze():
-    course = task.prepare(SEVEN, MAP.margin)
+    table = task.prepare(SEVEN, MAP.margin)
     silhouette = jnp.zeros((15, 1), jnp.uint32)
     for maze in range(7):
         alone = task.prepare(mazes.load(mazes.NAMES[maze]), MAP.margin)
         for ij in ((1, 1), (7, 2), (4, 6)):
             charts = []
-            for some, number in ((course, maze), (alone, 0)):
+            for some, number in ((table, maze), (alone, 0)):
                 nav = task.look(some, at(some, maze=jnp.int32(number)), centre(*ij), MAP)
                 charts.append(task.observe(some, nav, centre(*ij), silhouette, MAP))
             np.testing.assert_array_equal(*charts)

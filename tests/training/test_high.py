@@ -103,7 +103,7 @@ def test_whole_episodes_last_as_long_as_the_largest_room_allows(tmp_path):
     task = dataclasses.replace(config.task, num_rooms=6)
     learner = dataclasses.replace(config.learner, window=None)
     env = high.make_env(task)
-    limits = env.course.mazes.num_decisions
+    limits = env.table.mazes.num_decisions
     assert limits.min() < limits.max()
     assert (
         high.make_agent(env, dataclasses.replace(config, learner=learner)).horizon == limits.max()
