@@ -25,7 +25,7 @@ from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
 
 
-class GoalWalk(struct.PyTreeNode):
+class GoalMazeState(struct.PyTreeNode):
     """The state of an episode.
 
     Attributes:
@@ -81,7 +81,7 @@ class GoalMaze:
         next_key, start_key, pose_key = jax.random.split(key, 3)
         nav, xy = task.start(self.table, start_key, maze)
         no, zero = jnp.zeros((), bool), jnp.float32(0.0)
-        walk = GoalWalk(
+        inner = GoalMazeState(
             nav=nav,
             physics=locomotion.draw_pose(self._engine, xy, pose_key),
             total_reward=zero,
@@ -89,26 +89,26 @@ class GoalMaze:
             is_broken=no,
         )
         outcome = task.Outcome(reward=zero, terminated=no, truncated=no)
-        return self._state(walk, outcome, next_key)
+        return self._state(inner, outcome, next_key)
 
     def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
         """Advances one control step; an episode that is over rests, and pays nothing."""
-        walk: GoalWalk = state.inner
+        inner: GoalMazeState = state.inner
         is_running = ~(state.terminated | state.truncated)
-        maze = task.drawn_maze(self.table, walk.nav)
-        physics, is_broken = locomotion.move(self._engine, walk.physics, action, maze, is_running)
+        maze = task.drawn_maze(self.table, inner.nav)
+        physics, is_broken = locomotion.move(self._engine, inner.physics, action, maze, is_running)
         xy = physics.qpos[:2]
-        nav, outcome = task.advance(self.table, walk.nav, xy[None])
+        nav, outcome = task.advance(self.table, inner.nav, xy[None])
         if self._reward == "dense":
             outcome = task.dense(self.table, nav, xy, outcome)
         outcome = outcome.replace(
             terminated=outcome.terminated | is_broken, truncated=outcome.truncated & ~is_broken
         )
-        moved = GoalWalk(
+        moved = GoalMazeState(
             nav=nav,
             physics=physics,
-            total_reward=walk.total_reward + outcome.reward,
-            has_fallen=walk.has_fallen | locomotion.is_fallen(physics.qpos, self.robot),
+            total_reward=inner.total_reward + outcome.reward,
+            has_fallen=inner.has_fallen | locomotion.is_fallen(physics.qpos, self.robot),
             is_broken=is_broken,
         )
         rested = state.replace(reward=jnp.float32(0.0))
@@ -118,18 +118,20 @@ class GoalMaze:
             rested,
         )
 
-    def _state(self, walk: GoalWalk, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
+    def _state(
+        self, inner: GoalMazeState, outcome: task.Outcome, key: Key[Array, ""]
+    ) -> base.EnvState:
         """Puts together what `reset` and `step` return."""
-        steps = walk.nav.decisions.astype(jnp.float32)
-        xy, success = walk.physics.qpos[:2], task.success(self.table, walk.nav)
+        steps = inner.nav.decisions.astype(jnp.float32)
+        xy, success = inner.physics.qpos[:2], task.success(self.table, inner.nav)
         obs = base.GoalObs(
             xy=xy,
-            proprioception=walk.physics.proprioception,
-            goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, walk.nav)),
+            proprioception=inner.physics.proprioception,
+            goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, inner.nav)),
             time=steps / base.TIME_UNIT,
         )
         return base.EnvState(
-            inner=walk,
+            inner=inner,
             obs=obs,
             final_obs=obs,
             reward=outcome.reward,
@@ -139,9 +141,9 @@ class GoalMaze:
                 "success": success,
                 "decisions": jnp.ceil(steps / self.robot.steps_per_subgoal),
                 "steps": steps,
-                "return": walk.total_reward,
-                "fell": walk.has_fallen.astype(jnp.float32),
-                "broke_down": walk.is_broken.astype(jnp.float32),
+                "return": inner.total_reward,
+                "fell": inner.has_fallen.astype(jnp.float32),
+                "broke_down": inner.is_broken.astype(jnp.float32),
             },
             key=key,
         )

@@ -23,7 +23,7 @@ METRICS = ("step_x", "step_y", "switched", "along", "lateral", "fell", "broke_do
 """What `Locomotion` tells about each step, see there."""
 
 
-class Walk(struct.PyTreeNode):
+class LocomotionState(struct.PyTreeNode):
     """Inner state of `Locomotion`: physics, room, subgoal and time.
 
     Attributes:
@@ -226,18 +226,18 @@ class Locomotion:
         key, room_key, start_key, pose_key, direction_key = jax.random.split(key, 5)
         room = jax.random.randint(room_key, (), 0, self._rooms.wall.shape[0])
         start_xy = maze_lib.draw_start(self.room(room), start_key)
-        walk = Walk(
+        inner = LocomotionState(
             physics=draw_pose(self._engine, start_xy, pose_key),
             room=room,
             subgoal_xy=start_xy,
             direction=jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS),
             step=jnp.int32(0),
         )
-        obs = self._observe(walk)
+        obs = self._observe(inner)
         zero, no = jnp.float32(0.0), jnp.zeros((), bool)
         metrics: dict[str, Array] = {name: zero for name in METRICS}
         return base.EnvState(
-            inner=walk,
+            inner=inner,
             obs=obs,
             final_obs=obs,
             reward=zero,
@@ -249,40 +249,40 @@ class Locomotion:
 
     def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
         """Advances one control step; gives a new subgoal where the old one's time is up."""
-        walk: Walk = state.inner
+        inner: LocomotionState = state.inner
         key, direction_key = jax.random.split(state.key)
-        before_xy = walk.physics.qpos[:2]
-        room, always = self.room(walk.room), jnp.ones((), bool)
-        physics, is_broken = move(self._engine, walk.physics, action, room, always)
+        before_xy = inner.physics.qpos[:2]
+        room, always = self.room(inner.room), jnp.ones((), bool)
+        physics, is_broken = move(self._engine, inner.physics, action, room, always)
 
-        displacement_xy = physics.qpos[:2] - walk.subgoal_xy
-        along, lateral = rotations.to_direction_frame(displacement_xy, walk.direction)
-        step = walk.step + 1
+        displacement_xy = physics.qpos[:2] - inner.subgoal_xy
+        along, lateral = rotations.to_direction_frame(displacement_xy, inner.direction)
+        step = inner.step + 1
         is_switch = step % self.robot.steps_per_subgoal == 0
         drawn = jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS)
         is_down = is_fallen(physics.qpos, self.robot)
-        fell = is_down & (self._ends_at_fall | ~is_fallen(walk.physics.qpos, self.robot))
+        fell = is_down & (self._ends_at_fall | ~is_fallen(inner.physics.qpos, self.robot))
         terminated = (is_down & self._ends_at_fall) | is_broken
-        new_walk = walk.replace(
+        new_inner = inner.replace(
             physics=physics,
-            subgoal_xy=jnp.where(is_switch, physics.qpos[:2], walk.subgoal_xy),
-            direction=jnp.where(is_switch, drawn, walk.direction),
+            subgoal_xy=jnp.where(is_switch, physics.qpos[:2], inner.subgoal_xy),
+            direction=jnp.where(is_switch, drawn, inner.direction),
             step=step,
         )
-        obs = self._observe(new_walk)
+        obs = self._observe(new_inner)
         step_xy = physics.qpos[:2] - before_xy
         gain = reward(
-            before_xy - walk.subgoal_xy,
+            before_xy - inner.subgoal_xy,
             step_xy,
             state.obs.time_left,
-            walk.direction,
+            inner.direction,
             terminated,
             self._reward_options,
             self.robot.steps_per_subgoal,
         )
         switched = (is_switch & ~terminated).astype(jnp.float32)
         return base.EnvState(
-            inner=new_walk,
+            inner=new_inner,
             obs=obs,
             final_obs=obs,
             reward=gain,
@@ -304,10 +304,10 @@ class Locomotion:
         """Returns one of the rooms."""
         return jax.tree.map(lambda leaf: leaf[index], self._rooms)
 
-    def _observe(self, walk: Walk) -> low_obs.LowObs:
-        steps_left = self.robot.steps_per_subgoal - walk.step % self.robot.steps_per_subgoal
+    def _observe(self, inner: LocomotionState) -> low_obs.LowObs:
+        steps_left = self.robot.steps_per_subgoal - inner.step % self.robot.steps_per_subgoal
         return low_obs.observe(
-            walk.physics, walk.subgoal_xy, steps_left, walk.direction, self.robot
+            inner.physics, inner.subgoal_xy, steps_left, inner.direction, self.robot
         )
 
 

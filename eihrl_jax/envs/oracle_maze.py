@@ -64,7 +64,7 @@ class Movement:
             )
 
 
-class Oracle(struct.PyTreeNode):
+class OracleMazeState(struct.PyTreeNode):
     """The state of an episode.
 
     Attributes:
@@ -128,7 +128,7 @@ class OracleMaze:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, posture_key = jax.random.split(key, 3)
         nav, xy = task.start(self.table, start_key, maze)
-        inner = Oracle(
+        inner = OracleMazeState(
             nav=nav,
             xy=xy,
             posture=self._pick_posture(jax.random.uniform(posture_key)),
@@ -151,7 +151,7 @@ class OracleMaze:
         nav, outcome = task.advance(table, inner.nav, path_xy)
         if self.reward == "dense":
             outcome = task.dense(table, nav, path_xy[-1], outcome)
-        inner = Oracle(
+        inner = OracleMazeState(
             nav=nav,
             xy=path_xy[-1],
             posture=self._pick_posture(0.5 * (draws[2] + 1.0)),
@@ -159,7 +159,7 @@ class OracleMaze:
         )
         return self._state(inner, outcome, next_key)
 
-    def observe(self, inner: Oracle) -> Bool[Array, "P P C"]:
+    def observe(self, inner: OracleMazeState) -> Bool[Array, "P P C"]:
         """Draws what the high level sees."""
         silhouette = self._silhouettes[inner.posture]
         return task.observe(self.table, inner.nav, inner.xy, silhouette, self.view)
@@ -206,7 +206,9 @@ class OracleMaze:
         """Turns a uniform draw from [0, 1) into one of the silhouettes, all equally likely."""
         return task.pick(uniform, jnp.int32(self._silhouettes.shape[0]))
 
-    def _state(self, inner: Oracle, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
+    def _state(
+        self, inner: OracleMazeState, outcome: task.Outcome, key: Key[Array, ""]
+    ) -> base.EnvState:
         """Puts together what `reset` and `step` return."""
         inner = inner.replace(nav=task.look(self.table, inner.nav, inner.xy, self.view))
         obs = self.observe(inner)

@@ -62,7 +62,7 @@ class Subgoal(struct.PyTreeNode):
     direction: Int[Array, ""]
 
 
-class Walk(struct.PyTreeNode):
+class PhysicsMazeState(struct.PyTreeNode):
     """The state of an episode.
 
     Attributes:
@@ -122,20 +122,22 @@ class PhysicsMaze:
         )
         zero = jnp.float32(0.0)
         outcome = task.Outcome(reward=zero, terminated=no, truncated=no)
-        return self._state(Walk(nav=nav, body=body, total_reward=zero), outcome, next_key)
+        return self._state(
+            PhysicsMazeState(nav=nav, body=body, total_reward=zero), outcome, next_key
+        )
 
     def begin(self, state: base.EnvState, direction: Int[Array, ""]) -> tuple[Subgoal, Body]:
         """Begins a decision; in an episode that is over the robot rests through it."""
-        walk: Walk = state.inner
+        inner: PhysicsMazeState = state.inner
         subgoal = Subgoal(
-            maze=task.drawn_maze(self.table, walk.nav),
-            nav=walk.nav,
-            start_xy=walk.body.physics.qpos[:2],
+            maze=task.drawn_maze(self.table, inner.nav),
+            nav=inner.nav,
+            start_xy=inner.body.physics.qpos[:2],
             direction=direction,
         )
         is_running = ~(state.terminated | state.truncated)
         steps_left = jnp.int32(self.robot.steps_per_subgoal)
-        return subgoal, walk.body.replace(is_running=is_running, steps_left=steps_left)
+        return subgoal, inner.body.replace(is_running=is_running, steps_left=steps_left)
 
     def low_obs(self, subgoal: Subgoal, body: Body) -> low_obs.LowObs:
         """Returns what the low level knows, see `low_obs.observe`."""
@@ -174,40 +176,44 @@ class PhysicsMaze:
           body: the robot after it.
           path_xy: torso positions after each control step, units.
         """
-        walk: Walk = state.inner
-        nav, outcome = task.advance(self.table, walk.nav, path_xy)
+        inner: PhysicsMazeState = state.inner
+        nav, outcome = task.advance(self.table, inner.nav, path_xy)
         if self._reward == "dense":
             outcome = task.dense(self.table, nav, path_xy[-1], outcome)
         outcome = outcome.replace(
             terminated=outcome.terminated | body.is_broken,
             truncated=outcome.truncated & ~body.is_broken,
         )
-        walk = Walk(nav=nav, body=body, total_reward=walk.total_reward + outcome.reward)
-        return self._state(walk, outcome, state.key)
+        inner = PhysicsMazeState(
+            nav=nav, body=body, total_reward=inner.total_reward + outcome.reward
+        )
+        return self._state(inner, outcome, state.key)
 
-    def _state(self, walk: Walk, outcome: task.Outcome, key: Key[Array, ""]) -> base.EnvState:
+    def _state(
+        self, inner: PhysicsMazeState, outcome: task.Outcome, key: Key[Array, ""]
+    ) -> base.EnvState:
         """Puts together what `reset` and `end` return."""
-        xy = walk.body.physics.qpos[:2]
-        walk = walk.replace(nav=task.look(self.table, walk.nav, xy, self.view))
-        start, end, radius = self._capsules(walk.body.physics.qpos)
+        xy = inner.body.physics.qpos[:2]
+        inner = inner.replace(nav=task.look(self.table, inner.nav, xy, self.view))
+        start, end, radius = self._capsules(inner.body.physics.qpos)
         silhouette = raster.footprint(
             start[:, :2] - xy[None], end[:, :2] - xy[None], radius, self.view
         )
         packed = raster.pack(silhouette, self.view)
-        obs = task.observe(self.table, walk.nav, xy, packed, self.view)
+        obs = task.observe(self.table, inner.nav, xy, packed, self.view)
         return base.EnvState(
-            inner=walk,
+            inner=inner,
             obs=obs,
             final_obs=obs,
             reward=outcome.reward,
             terminated=outcome.terminated,
             truncated=outcome.truncated,
             metrics={
-                "success": task.success(self.table, walk.nav),
-                "decisions": walk.nav.decisions.astype(jnp.float32),
-                "return": walk.total_reward,
-                "fell": walk.body.has_fallen.astype(jnp.float32),
-                "broke_down": walk.body.is_broken.astype(jnp.float32),
+                "success": task.success(self.table, inner.nav),
+                "decisions": inner.nav.decisions.astype(jnp.float32),
+                "return": inner.total_reward,
+                "fell": inner.body.has_fallen.astype(jnp.float32),
+                "broke_down": inner.body.is_broken.astype(jnp.float32),
             },
             key=key,
         )

@@ -142,7 +142,7 @@ def _walk(
 
     def advance(carry: tuple[base.EnvState, Begun], _: None) -> tuple[Any, Steps]:
         state, begun = carry
-        before: locomotion.Walk = state.inner
+        before: locomotion.LocomotionState = state.inner
         was_down = locomotion.is_fallen(before.physics.qpos, env.robot)
         now = Begun(is_upright=~was_down, is_clear=_is_clear(env, before))
         is_first = before.step % k == 0
@@ -162,7 +162,7 @@ def _walk(
     return walk(reset_key)
 
 
-def _is_clear(env: locomotion.Locomotion, walk: locomotion.Walk) -> Bool[Array, ""]:
+def _is_clear(env: locomotion.Locomotion, walk: locomotion.LocomotionState) -> Bool[Array, ""]:
     """Tells whether a robot that goes one cell from here could touch no wall."""
     room, reach = env.room(walk.room), env.robot.reach
     ahead = jnp.linspace(-reach, base.CELL + reach, 5)

@@ -26,7 +26,7 @@ from eihrl_jax.physics import scene
 EPISODE_STEPS = 1_000
 
 
-class Run(struct.PyTreeNode):
+class ForwardRunState(struct.PyTreeNode):
     """The state of an episode: the robot, rewards so far, and control steps so far."""
 
     physics: engine_lib.PhysicsState
@@ -50,23 +50,23 @@ class ForwardRun:
         qpos = physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0]))
         physics = engine_lib.reset(qpos, physics.qvel)
         zero, no = jnp.float32(0.0), jnp.zeros((), bool)
-        return _state(Run(physics, zero, jnp.int32(0)), zero, no, no, next_key)
+        return _state(ForwardRunState(physics, zero, jnp.int32(0)), zero, no, no, next_key)
 
     def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
         """Advances one control step; an episode that is over rests, and pays nothing."""
-        run: Run = state.inner
+        inner: ForwardRunState = state.inner
         is_running = ~(state.terminated | state.truncated)
         physics, is_broken = locomotion.advance(
-            self._engine, run.physics, action, self._no_walls, is_running
+            self._engine, inner.physics, action, self._no_walls, is_running
         )
-        speed = (physics.qpos[0] - run.physics.qpos[0]) / self.robot.control_step
+        speed = (physics.qpos[0] - inner.physics.qpos[0]) / self.robot.control_step
         reward = speed + 1.0 - 0.5 * jnp.square(action).sum()
         low, high = self.robot.healthy_z or (-jnp.inf, jnp.inf)
         has_fallen = (physics.qpos[2] < low) | (physics.qpos[2] > high)
-        step = run.step + 1
+        step = inner.step + 1
         ended = has_fallen | is_broken
         moved = _state(
-            Run(physics, run.total_reward + reward, step),
+            ForwardRunState(physics, inner.total_reward + reward, step),
             reward,
             ended,
             (step >= EPISODE_STEPS) & ~ended,
@@ -77,7 +77,7 @@ class ForwardRun:
 
 
 def _state(
-    run: Run,
+    inner: ForwardRunState,
     reward: Float[Array, ""],
     terminated: Array,
     truncated: Array,
@@ -86,17 +86,17 @@ def _state(
     """Puts together what `reset` and `step` return."""
     obs = base.GoalObs(
         xy=jnp.zeros(2),
-        proprioception=run.physics.proprioception,
+        proprioception=inner.physics.proprioception,
         goal_xy=jnp.zeros(2),
         time=jnp.float32(0.0),
     )
     return base.EnvState(
-        inner=run,
+        inner=inner,
         obs=obs,
         final_obs=obs,
         reward=reward,
         terminated=terminated,
         truncated=truncated,
-        metrics={"return": run.total_reward, "steps": run.step.astype(jnp.float32)},
+        metrics={"return": inner.total_reward, "steps": inner.step.astype(jnp.float32)},
         key=key,
     )

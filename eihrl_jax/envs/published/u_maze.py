@@ -37,7 +37,7 @@ RADIUS = 2.5
 EPISODE_STEPS = 500
 
 
-class UWalk(struct.PyTreeNode):
+class UMazeState(struct.PyTreeNode):
     """The state of an episode.
 
     Attributes:
@@ -99,7 +99,7 @@ class UMaze:
         no = jnp.zeros((), bool)
         physics = locomotion.draw_pose(self._engine, start_xy, pose_key)
         qpos = physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0]))
-        walk = UWalk(
+        inner = UMazeState(
             physics=engine_lib.reset(qpos, physics.qvel),
             goal_xy=goal_xy,
             has_arrived=no,
@@ -108,29 +108,31 @@ class UMaze:
             total_reward=jnp.float32(0.0),
             step=jnp.int32(0),
         )
-        return _state(walk, jnp.float32(0.0), no, no, next_key)
+        return _state(inner, jnp.float32(0.0), no, no, next_key)
 
     def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
         """Advances one control step; an episode that is over rests, and pays nothing."""
-        walk: UWalk = state.inner
+        inner: UMazeState = state.inner
         is_running = ~(state.terminated | state.truncated)
         # The maze's functions count in our cells, which are smaller.
         scale = CELL / base.CELL
-        near = scale * walls.nearby(self._maze, walk.physics.qpos[:2] / scale, self.robot.num_walls)
-        physics, is_broken = locomotion.advance(
-            self._engine, walk.physics, action, near, is_running
+        near = scale * walls.nearby(
+            self._maze, inner.physics.qpos[:2] / scale, self.robot.num_walls
         )
-        distance = jnp.sqrt(jnp.square(physics.qpos[:2] - walk.goal_xy).sum())
+        physics, is_broken = locomotion.advance(
+            self._engine, inner.physics, action, near, is_running
+        )
+        distance = jnp.sqrt(jnp.square(physics.qpos[:2] - inner.goal_xy).sum())
         is_there = distance <= RADIUS
         reward = -distance if self._reward == "dense" else jnp.where(is_there, 0.0, -1.0)
-        step = walk.step + 1
-        moved = UWalk(
+        step = inner.step + 1
+        moved = UMazeState(
             physics=physics,
-            goal_xy=walk.goal_xy,
-            has_arrived=walk.has_arrived | is_there,
-            has_fallen=walk.has_fallen | locomotion.is_fallen(physics.qpos, self.robot),
+            goal_xy=inner.goal_xy,
+            has_arrived=inner.has_arrived | is_there,
+            has_fallen=inner.has_fallen | locomotion.is_fallen(physics.qpos, self.robot),
             is_broken=is_broken,
-            total_reward=walk.total_reward + reward,
+            total_reward=inner.total_reward + reward,
             step=step,
         )
         terminated = is_broken | (is_there & self._is_evaluation)
@@ -144,29 +146,33 @@ class UMaze:
 
 
 def _state(
-    walk: UWalk, reward: Float[Array, ""], terminated: Array, truncated: Array, key: Key[Array, ""]
+    inner: UMazeState,
+    reward: Float[Array, ""],
+    terminated: Array,
+    truncated: Array,
+    key: Key[Array, ""],
 ) -> base.EnvState:
     """Puts together what `reset` and `step` return."""
-    steps = walk.step.astype(jnp.float32)
+    steps = inner.step.astype(jnp.float32)
     obs = base.GoalObs(
-        xy=walk.physics.qpos[:2],
-        proprioception=walk.physics.proprioception,
-        goal_xy=walk.goal_xy,
+        xy=inner.physics.qpos[:2],
+        proprioception=inner.physics.proprioception,
+        goal_xy=inner.goal_xy,
         time=steps / base.TIME_UNIT,
     )
     return base.EnvState(
-        inner=walk,
+        inner=inner,
         obs=obs,
         final_obs=obs,
         reward=reward,
         terminated=terminated,
         truncated=truncated,
         metrics={
-            "success": walk.has_arrived.astype(jnp.float32),
+            "success": inner.has_arrived.astype(jnp.float32),
             "steps": steps,
-            "return": walk.total_reward,
-            "fell": walk.has_fallen.astype(jnp.float32),
-            "broke_down": walk.is_broken.astype(jnp.float32),
+            "return": inner.total_reward,
+            "fell": inner.has_fallen.astype(jnp.float32),
+            "broke_down": inner.is_broken.astype(jnp.float32),
         },
         key=key,
     )
