@@ -7,41 +7,42 @@ import difflib
 import sys
 from collections.abc import Callable, Sequence
 
-from eihrl_jax.cli import shell
+import eihrl_jax
+from eihrl_jax.cli.command import Command
 
-Make = Callable[[], shell.Command]
+Make = Callable[[], Command]
 
 
-def train_high() -> shell.Command:
+def train_high() -> Command:
     """Trains a high level with oracle movement."""
     from eihrl_jax.config import high as high_config
     from eihrl_jax.config import presets
     from eihrl_jax.training import high
 
-    return shell.Command(high.train, high_config.HighConfig, presets.HIGH, uses_all_cores=True)
+    return Command(high.train, high_config.HighConfig, presets.HIGH, uses_all_cores=True)
 
 
-def train_low() -> shell.Command:
+def train_low() -> Command:
     """Trains a low level."""
     from eihrl_jax.config import low as low_config
     from eihrl_jax.config import presets
     from eihrl_jax.training import low
 
-    return shell.Command(low.train, low_config.LowConfig, presets.LOW)
+    return Command(low.train, low_config.LowConfig, presets.LOW)
 
 
-def train_baseline() -> shell.Command:
+def train_baseline() -> Command:
     """Trains a baseline: flat DroQ, HIGL, HRAC, HIRO or HESS."""
     from eihrl_jax.config import baselines as baselines_config
     from eihrl_jax.config import presets
     from eihrl_jax.training import baselines
 
-    return shell.Command(
+    return Command(
         baselines.train, baselines_config.BaselineConfig, presets.BASELINES, option="method"
     )
 
 
-def evaluate() -> shell.Command:
+def evaluate() -> Command:
     """Evaluates policies in mazes: success with intervals, heatmaps, an animation."""
     import rich.console
 
@@ -55,10 +56,10 @@ def evaluate() -> shell.Command:
         rich.console.Console().print(tables.NOTE, style="dim")
         print(f"written to {options.out}")
 
-    return shell.Command(main, evaluate_config.EvaluateConfig)
+    return Command(main, evaluate_config.EvaluateConfig)
 
 
-def measure_low() -> shell.Command:
+def measure_low() -> Command:
     """Measures how evenly a low level walks, and records its postures."""
     from eihrl_jax.config import measure as measure_config
     from eihrl_jax.evaluation import tables
@@ -69,24 +70,24 @@ def measure_low() -> shell.Command:
         tables.show([tables.of_subgoals(statistics, options.robot)])
         print(f"written to {options.out}")
 
-    return shell.Command(main, measure_config.MeasureConfig)
+    return Command(main, measure_config.MeasureConfig)
 
 
-def report() -> shell.Command:
+def report() -> Command:
     """Puts everything that the paper reports on one page."""
     from eihrl_jax.reporting import report as report_lib
 
-    return shell.Command(report_lib.main, report_lib.ReportConfig, uses_all_cores=True)
+    return Command(report_lib.main, report_lib.ReportConfig, uses_all_cores=True)
 
 
-def demo() -> shell.Command:
+def demo() -> Command:
     """Trains a high level, then evaluates the whole hierarchy in four mazes."""
     from eihrl_jax.studies import demo as demo_lib
 
-    return shell.Command(demo_lib.main, demo_lib.DemoConfig, uses_all_cores=True)
+    return Command(demo_lib.main, demo_lib.DemoConfig, uses_all_cores=True)
 
 
-def value_gap() -> shell.Command:
+def value_gap() -> Command:
     """Compares bounds on the hierarchy's loss with the loss that is measured."""
     from eihrl_jax.config import value_gap as gap_config
     from eihrl_jax.reporting import value_gaps
@@ -96,70 +97,70 @@ def value_gap() -> shell.Command:
         print(value_gaps.markdown(gaps), end="")
         print(f"written to {options.out}")
 
-    return shell.Command(main, gap_config.ValueGapConfig)
+    return Command(main, gap_config.ValueGapConfig)
 
 
-def benchmark() -> shell.Command:
+def benchmark() -> Command:
     """Measures speeds, and how far the two physics engines part."""
     from eihrl_jax.benchmarks import suite
 
-    return shell.Command(suite.main, suite.BenchmarkConfig, uses_all_cores=True)
+    return Command(suite.main, suite.BenchmarkConfig, uses_all_cores=True)
 
 
-def train_policies() -> shell.Command:
+def train_policies() -> Command:
     """Trains every shipped high level again."""
     from eihrl_jax.studies import train_policies as policies_lib
 
-    return shell.Command(policies_lib.main, policies_lib.PoliciesConfig, uses_all_cores=True)
+    return Command(policies_lib.main, policies_lib.PoliciesConfig, uses_all_cores=True)
 
 
-def ablate_high() -> shell.Command:
+def ablate_high() -> Command:
     """Trains and evaluates a high level with one option changed at a time."""
     from eihrl_jax.studies import ablate_high as ablation
 
-    return shell.Command(ablation.main, ablation.AblationConfig, uses_all_cores=True)
+    return Command(ablation.main, ablation.AblationConfig, uses_all_cores=True)
 
 
-def ablate_low() -> shell.Command:
+def ablate_low() -> Command:
     """Trains a low level with one option changed at a time."""
     from eihrl_jax.studies import ablate_low as ablation
 
-    return shell.Command(ablation.main, ablation.AblationConfig)
+    return Command(ablation.main, ablation.AblationConfig)
 
 
-def compare_baselines() -> shell.Command:
+def compare_baselines() -> Command:
     """Trains ours and the baselines at equal budgets."""
     from eihrl_jax.studies import compare_baselines as comparison
 
-    return shell.Command(comparison.main, comparison.CompareConfig)
+    return Command(comparison.main, comparison.CompareConfig)
 
 
-def small_maze() -> shell.Command:
+def small_maze() -> Command:
     """Trains the two-level baselines in a small maze, where each of them succeeds."""
     from eihrl_jax.studies import small_maze as small
 
-    return shell.Command(small.main, small.SmallConfig)
+    return Command(small.main, small.SmallConfig)
 
 
-def reproduce_droq() -> shell.Command:
+def reproduce_droq() -> Command:
     """Trains DroQ in the task of its published curves."""
     from eihrl_jax.studies import reproduce_droq as reproduction
 
-    return shell.Command(reproduction.main, reproduction.ReproduceConfig)
+    return Command(reproduction.main, reproduction.ReproduceConfig)
 
 
-def reproduce_higl() -> shell.Command:
+def reproduce_higl() -> Command:
     """Trains HIGL in the maze of its published curves."""
     from eihrl_jax.studies import reproduce_higl as reproduction
 
-    return shell.Command(reproduction.main, reproduction.ReproduceConfig)
+    return Command(reproduction.main, reproduction.ReproduceConfig)
 
 
-def kill_resume() -> shell.Command:
+def kill_resume() -> Command:
     """Kills a trainer at random moments, resumes it and compares the results bit for bit."""
     from eihrl_jax.studies import kill_resume as killing
 
-    return shell.Command(killing.main, killing.KillConfig)
+    return Command(killing.main, killing.KillConfig)
 
 
 COMMANDS: dict[str, Make] = {
@@ -189,7 +190,7 @@ COMMANDS: dict[str, Make] = {
 
 def run(name: str) -> None:
     """Runs a command with the arguments of this process, as `python -m experiments.<name>`."""
-    shell.run(COMMANDS[name](), sys.argv[1:], f"python -m experiments.{name}")
+    _run(name, sys.argv[1:], f"python -m experiments.{name}")
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -198,10 +199,21 @@ def main(argv: Sequence[str] | None = None) -> None:
     if not words or words[0] in ("-h", "--help"):
         print(_list())
         return
+    if words[0] == "--version":
+        print(f"eihrl_jax {eihrl_jax.__version__}")
+        return
     name = words[0].replace("-", "_")
     if name not in COMMANDS:
-        shell.fail(_unknown(words[0]))
-    shell.run(COMMANDS[name](), words[1:], f"eihrl {_spelled(name)}")
+        print(f"error: {_unknown(words[0])}", file=sys.stderr)
+        sys.exit(2)
+    _run(name, words[1:], f"eihrl {_spelled(name)}")
+
+
+def _run(name: str, arguments: list[str], program: str) -> None:
+    """Runs a command; see `shell.run`."""
+    from eihrl_jax.cli import shell  # With it come JAX and tyro, which a list does without.
+
+    shell.run(COMMANDS[name](), arguments, program)
 
 
 def _list() -> str:

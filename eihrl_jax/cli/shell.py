@@ -4,7 +4,6 @@ Exit codes: 0 done, 2 the user's mistake, 130 interrupted with Ctrl-C.
 """
 
 import contextlib
-import dataclasses
 import errno
 import functools
 import io
@@ -12,13 +11,14 @@ import itertools
 import os
 import pathlib
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from typing import Generic, NoReturn, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import NoReturn, TypeVar
 
 import jax
 import tyro
 
 from eihrl_jax import base
+from eihrl_jax.cli import command as command_lib
 from eihrl_jax.training import parallel
 
 ConfigT = TypeVar("ConfigT")
@@ -35,27 +35,7 @@ _PLACE_ERRORS = (
 """What is wrong with the place that files are to be read from or written to."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Command(Generic[ConfigT]):
-    """One command.
-
-    Attributes:
-      main: what it does.
-      config_type: dataclass of its options; its docstring is the help text.
-      presets: defaults to choose from by name, the first one being used without it; each is a
-        `config_type`, and has the name as the value of `option`.
-      option: what the user chooses a preset with.
-      uses_all_cores: whether every core of the CPU is a device of JAX.
-    """
-
-    main: Callable[[ConfigT], object]
-    config_type: type[ConfigT]
-    presets: Mapping[str, ConfigT] = dataclasses.field(default_factory=dict)
-    option: str = "preset"
-    uses_all_cores: bool = False
-
-
-def run(command: Command, argv: Sequence[str], program: str) -> None:
+def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None:
     """Parses a command line and does what it says; ends the process on an error.
 
     Args:
@@ -86,7 +66,7 @@ def fail(message: str) -> NoReturn:
     sys.exit(2)
 
 
-def _parse(command: Command[ConfigT], arguments: list[str], program: str) -> ConfigT:
+def _parse(command: command_lib.Command[ConfigT], arguments: list[str], program: str) -> ConfigT:
     """Parses the arguments; `--help` shows the defaults of the chosen preset."""
     messages = io.StringIO()
     parsed_type = command.config_type

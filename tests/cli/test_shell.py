@@ -8,6 +8,7 @@ import pytest
 
 from eihrl_jax import base
 from eihrl_jax.cli import shell
+from eihrl_jax.cli.command import Command
 from eihrl_jax.config import checks
 
 
@@ -44,7 +45,7 @@ def no_compilation_cache(monkeypatch):
 
 def parsed(*arguments, presets=PRESETS):
     found = []
-    shell.run(shell.Command(found.append, Options, presets), arguments, "test")
+    shell.run(Command(found.append, Options, presets), arguments, "test")
     return found[0]
 
 
@@ -107,7 +108,7 @@ def test_users_mistake_found_later_gets_one_line(capsys):
         raise base.UserError("maze has no start")
 
     with pytest.raises(SystemExit) as end:
-        shell.run(shell.Command(main, Options, PRESETS), [], "test")
+        shell.run(Command(main, Options, PRESETS), [], "test")
     assert end.value.code == 2
     assert capsys.readouterr().err == "error: maze has no start\n"
 
@@ -119,7 +120,7 @@ def test_a_place_that_cannot_be_written_to_gets_one_line(tmp_path, capsys):
         (tmp_path / "file" / "run").mkdir(parents=True)
 
     with pytest.raises(SystemExit) as end:
-        shell.run(shell.Command(main, Options, PRESETS), [], "test")
+        shell.run(Command(main, Options, PRESETS), [], "test")
     assert end.value.code == 2
     assert capsys.readouterr().err.splitlines() == [
         f"error: {tmp_path / 'file' / 'run'}: Not a directory"
@@ -131,7 +132,7 @@ def test_programming_error_keeps_its_traceback():
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        shell.run(shell.Command(main, Options, PRESETS), [], "test")
+        shell.run(Command(main, Options, PRESETS), [], "test")
 
 
 def test_interrupt(capsys):
@@ -139,6 +140,6 @@ def test_interrupt(capsys):
         raise KeyboardInterrupt
 
     with pytest.raises(SystemExit) as end:
-        shell.run(shell.Command(main, Options, PRESETS), [], "test")
+        shell.run(Command(main, Options, PRESETS), [], "test")
     assert end.value.code == 130
     assert capsys.readouterr().err == "interrupted\n"

@@ -1,0 +1,68 @@
+"""The table of commands: the same ones under both names, listed without JAX, helped by hints."""
+
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+import eihrl_jax
+from eihrl_jax.cli import commands
+
+EXPERIMENTS = pathlib.Path(__file__).parents[2] / "experiments"
+EARLIER_NAMES = {"compare_peers"}
+
+
+def test_each_command_is_an_experiment_and_the_other_way_round():
+    modules = {path.stem for path in EXPERIMENTS.glob("*.py")} - {"__init__"}
+    assert modules - EARLIER_NAMES == set(commands.COMMANDS)
+    for name in commands.COMMANDS:
+        text = (EXPERIMENTS / f"{name}.py").read_text()
+        assert f'commands.run("{name}")' in text
+        assert len(text.splitlines()) <= 20
+
+
+def test_help_lists_every_command_and_says_what_it_does(capsys):
+    commands.main([])
+    lines = capsys.readouterr().out.splitlines()
+    for name, make in commands.COMMANDS.items():
+        (line,) = [line for line in lines if line.split()[:1] == [name.replace("_", "-")]]
+        assert make.__doc__ is not None
+        assert line.endswith(make.__doc__.strip())
+        assert len(line) <= 110
+
+
+def test_version(capsys):
+    commands.main(["--version"])
+    assert capsys.readouterr().out == f"eihrl_jax {eihrl_jax.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"), [("train_hihg", "did you mean train-high?"), ("xyz", "choose one of")]
+)
+def test_an_unknown_command_gets_one_line_with_a_hint(word, hint, capsys):
+    with pytest.raises(SystemExit) as end:
+        commands.main([word, "--run", "somewhere"])
+    assert end.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: {word!r} is no command")
+    assert hint in line
+
+
+@pytest.mark.parametrize("spelling", ["train-high", "train_high"])
+def test_help_of_a_command_names_it_as_it_was_called(spelling, capsys):
+    with pytest.raises(SystemExit) as end:
+        commands.main([spelling, "--help"])
+    assert end.value.code == 0
+    assert "usage: eihrl train-high" in capsys.readouterr().out
+
+
+def test_a_list_of_commands_and_the_package_itself_load_no_jax():
+    code = (
+        "import sys, eihrl_jax\n"
+        "from eihrl_jax.cli import commands\n"
+        "commands.main([])\n"
+        "heavy = {'jax', 'flax', 'mujoco', 'tyro', 'matplotlib'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
