@@ -2,17 +2,17 @@
 
 import dataclasses
 import pathlib
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import checks, limits
 from eihrl_jax.config import low as low_config
 
 Goals = Literal["own", "anywhere"]
 """Where goals lie in training, see `BaselineConfig`."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class BaselineConfig:
     """What all baselines share: the arena and the run around them.
 
@@ -39,24 +39,24 @@ class BaselineConfig:
     """
 
     method: str = "droq"
-    seed: int = 0
+    seed: limits.Seed = 0
     run: pathlib.Path = pathlib.Path("runs/baseline")
     resume: bool = False
     maze: str = "random"
     reward: base.Reward = "sparse"
-    num_decisions: int | None = None
+    num_decisions: Annotated[int, limits.Range(1, 10_000)] | None = None
     goals: Goals = "own"
     robot: str = "ant"
     engine: base.EngineName = "mujoco"
-    num_envs: int = 10
-    num_steps: int = 1_000_000
-    log_rounds: int = 10
-    evaluate_every: int = 4
-    checkpoint_every: int = 4
-    num_eval_episodes: int = 50
+    num_envs: Annotated[int, limits.Range(1, 2**16)] = 10
+    num_steps: limits.Count = 1_000_000
+    log_rounds: limits.UpToMillion = 10
+    evaluate_every: limits.UpToMillion = 4
+    checkpoint_every: limits.UpToMillion = 4
+    num_eval_episodes: limits.UpToMillion = 50
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class FlatConfig(BaselineConfig):
     """Flat DroQ: one level, from where the robot and its goal are to its controls.
 
@@ -68,40 +68,19 @@ class FlatConfig(BaselineConfig):
       learner: hyper-parameters of DroQ.
     """
 
-    checkpoint_every: int = 20  # Its memory is large, its rows are short.
-    warmup_steps: int = 5_000
-    iterations_per_round: int = 10
-    updates_per_step: int = 20
-    capacity: int = 1_000_000
+    checkpoint_every: limits.UpToMillion = 20  # Its replay is large, its rows are short.
+    method: Annotated[str, limits.OneOf(("droq",))] = "droq"
+    warmup_steps: limits.Count = 5_000
+    iterations_per_round: Annotated[int, limits.Range(1, 10_000)] = 10
+    updates_per_step: Annotated[int, limits.Range(1, 1_000)] = 20
+    capacity: limits.Count = 1_000_000
     learner: low_config.Droq = dataclasses.field(default_factory=low_config.Droq)
 
     def __post_init__(self) -> None:
-        """Checks ranges, and how the options fit together."""
-        check_arena(self, ("droq",))
-        checks.in_range("warmup_steps", self.warmup_steps, 1, 2**31 - 1)
-        checks.in_range("iterations_per_round", self.iterations_per_round, 1, 10_000)
-        checks.in_range("updates_per_step", self.updates_per_step, 1, 1_000)
-        checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
+        """Checks how the options fit together."""
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
 
     @property
     def steps_per_round(self) -> int:
         """Control steps of all environments together in a round."""
         return self.num_envs * self.iterations_per_round
-
-
-def check_arena(config: BaselineConfig, methods: tuple[str, ...]) -> None:
-    """Checks the ranges of what all baselines share, and that the options are the method's."""
-    checks.one_of("method", config.method, methods)
-    checks.in_range("seed", config.seed, 0, 2**32 - 1)
-    checks.one_of("reward", config.reward, base.REWARDS)
-    checks.one_of("goals", config.goals, get_args(Goals))
-    checks.one_of("engine", config.engine, base.ENGINES)
-    if config.num_decisions is not None:
-        checks.in_range("num_decisions", config.num_decisions, 1, 10_000)
-    checks.in_range("num_envs", config.num_envs, 1, 2**16)
-    checks.in_range("num_steps", config.num_steps, 1, 2**31 - 1)
-    checks.in_range("log_rounds", config.log_rounds, 1, 1_000_000)
-    checks.in_range("evaluate_every", config.evaluate_every, 1, 1_000_000)
-    checks.in_range("checkpoint_every", config.checkpoint_every, 1, 1_000_000)
-    checks.in_range("num_eval_episodes", config.num_eval_episodes, 1, 1_000_000)

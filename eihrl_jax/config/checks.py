@@ -103,16 +103,6 @@ def seeds(values: Sequence[int]) -> None:
         in_range("seeds", value, 0, 2**32 - 1)
 
 
-def widths(name: str, values: Sequence[int], least: int = 1) -> None:
-    """Checks the widths of layers, of which there may be none.
-
-    Raises:
-      UserError: one is out of range.
-    """
-    for value in values:
-        in_range(name, value, least, 4096)
-
-
 def divides(name: str, value: int, other_name: str, other: int) -> None:
     """Checks that `other` is a whole multiple of `value`.
 

@@ -1,11 +1,10 @@
 """Options of an evaluation: which systems, in which mazes, how many episodes."""
 
-import dataclasses
 import pathlib
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import checks, limits
 
 Animate = Literal["one", "all", "none"]
 """Which evaluations are animated, see `EvaluateConfig`."""
@@ -14,7 +13,7 @@ RANDOM = "random"
 """What the high level is called that chooses directions uniformly."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class EvaluateConfig:
     """Evaluates two-level systems in mazes: every robot x movement x high level in every maze.
 
@@ -44,16 +43,16 @@ class EvaluateConfig:
       heatmaps: draw where the robot was, one picture per maze and system.
     """
 
-    mazes: tuple[str, ...] = ("random", "g1", "g2", "g3")
-    robot: tuple[str, ...] = ("ant",)
-    movement: tuple[base.MovementName, ...] = base.MOVEMENTS
-    high: tuple[str, ...] = ("best-random-0",)
+    mazes: Annotated[tuple[str, ...], limits.Distinct()] = ("random", "g1", "g2", "g3")
+    robot: Annotated[tuple[str, ...], limits.Distinct()] = ("ant",)
+    movement: Annotated[tuple[base.MovementName, ...], limits.Distinct()] = base.MOVEMENTS
+    high: Annotated[tuple[str, ...], limits.Distinct()] = ("best-random-0",)
     low: tuple[str, ...] = ()
     reward: base.Reward = "sparse"
-    episodes: int = 500
-    seeds: tuple[int, ...] = (0,)
+    episodes: limits.UpToMillion = 500
+    seeds: limits.Seeds = (0,)
     out: pathlib.Path = pathlib.Path("runs/evaluation")
-    num_decisions: int | None = None
+    num_decisions: Annotated[int, limits.Range(1, 10_000)] | None = None
     greedy: bool = False
     step: float = base.CELL
     sigma: float = base.SIGMA
@@ -63,19 +62,9 @@ class EvaluateConfig:
     heatmaps: bool = True
 
     def __post_init__(self) -> None:
-        """Checks ranges, and that nothing is asked for twice."""
-        for name in ("mazes", "robot", "high"):
-            checks.distinct(name, getattr(self, name))
-        checks.each_of("movement", self.movement, base.MOVEMENTS)
-        checks.seeds(self.seeds)
-        checks.one_of("reward", self.reward, base.REWARDS)
-        checks.one_of("engine", self.engine, base.ENGINES)
-        checks.one_of("animate", self.animate, get_args(Animate))
+        """Checks how the options fit together."""
         checks.measured_alone(self.measured, self.step, self.sigma)
         self._check_movement()
-        checks.in_range("episodes", self.episodes, 1, 1_000_000)
-        if self.num_decisions is not None:
-            checks.in_range("num_decisions", self.num_decisions, 1, 10_000)
         if self.low and len(self.low) != len(self.robot):
             raise base.UserError(
                 f"low names {len(self.low)} policies for {len(self.robot)} robots; "

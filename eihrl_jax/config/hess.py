@@ -1,12 +1,11 @@
 """Options of HESS; defaults are those of its released code, but for what the paper says better."""
 
-import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
-from eihrl_jax.config import baselines, checks
+from eihrl_jax.config import baselines, checks, limits
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Sac:
     """HESS's upper level: soft actor-critic with a fixed temperature.
 
@@ -20,26 +19,16 @@ class Sac:
       batch_size: subgoals per update.
     """
 
-    hidden: tuple[int, ...] = (256, 256)
-    reach: float = 20.0
-    learning_rate: float = 3e-4
-    temperature: float = 0.2
-    gamma: float = 0.99
-    target_rate: float = 0.005
-    batch_size: int = 128
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.widths("hidden", self.hidden)
-        checks.in_range("reach", self.reach, above=0.0)
-        checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
-        checks.in_range("temperature", self.temperature, 0.0)
-        checks.in_range("gamma", self.gamma, 0.0, 1.0)
-        checks.in_range("target_rate", self.target_rate, above=0.0, high=1.0)
-        checks.in_range("batch_size", self.batch_size, 1, 2**20)
+    hidden: limits.Widths = (256, 256)
+    reach: limits.Positive = 20.0
+    learning_rate: limits.Rate = 3e-4
+    temperature: limits.NonNegative = 0.2
+    gamma: limits.Fraction = 0.99
+    target_rate: limits.Rate = 0.005
+    batch_size: limits.BatchSize = 128
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Ddpg:
     """HESS's lower level: deterministic policy gradients.
 
@@ -61,42 +50,24 @@ class Ddpg:
       arrival: distance in the subgoal space at which the subgoal is reached.
     """
 
-    hidden: tuple[int, ...] = (400, 400, 400, 400)
-    critic_hidden: tuple[int, ...] = (400, 400, 400, 400, 400)
-    learning_rate: float = 2e-4
-    half_life: int = 1_500_000
-    critic_decay: float = 1e-5
-    max_grad_norm: float = 1.0
-    gamma: float = 0.99
-    target_rate: float = 0.01
-    target_period: int = 3
-    noise: float = 0.2
-    random_share: float = 0.2
-    batch_size: int = 128
-    updates_per_step: float = 0.4
-    reward_scale: float = 0.1
-    arrival: float = 0.1
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.widths("hidden", self.hidden)
-        checks.widths("critic_hidden", self.critic_hidden)
-        checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
-        checks.in_range("half_life", self.half_life, 1, 2**31 - 1)
-        checks.in_range("critic_decay", self.critic_decay, 0.0, 1.0)
-        checks.in_range("max_grad_norm", self.max_grad_norm, above=0.0)
-        checks.in_range("gamma", self.gamma, 0.0, below=1.0)
-        checks.in_range("target_rate", self.target_rate, above=0.0, high=1.0)
-        checks.in_range("target_period", self.target_period, 1, 1_000)
-        checks.in_range("noise", self.noise, 0.0)
-        checks.in_range("random_share", self.random_share, 0.0, 1.0)
-        checks.in_range("batch_size", self.batch_size, 1, 2**20)
-        checks.in_range("updates_per_step", self.updates_per_step, above=0.0, high=100.0)
-        checks.in_range("reward_scale", self.reward_scale, above=0.0)
-        checks.in_range("arrival", self.arrival, 0.0)
+    hidden: limits.Widths = (400, 400, 400, 400)
+    critic_hidden: limits.Widths = (400, 400, 400, 400, 400)
+    learning_rate: limits.Rate = 2e-4
+    half_life: limits.Count = 1_500_000
+    critic_decay: limits.Fraction = 1e-5
+    max_grad_norm: limits.Positive = 1.0
+    gamma: Annotated[float, limits.Range(0.0, below=1.0)] = 0.99
+    target_rate: limits.Rate = 0.01
+    target_period: Annotated[int, limits.Range(1, 1_000)] = 3
+    noise: limits.NonNegative = 0.2
+    random_share: limits.Fraction = 0.2
+    batch_size: limits.BatchSize = 128
+    updates_per_step: Annotated[float, limits.Range(above=0.0, high=100.0)] = 0.4
+    reward_scale: limits.Positive = 0.1
+    arrival: limits.NonNegative = 0.1
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Representation:
     """HESS's subgoal space.
 
@@ -116,34 +87,20 @@ class Representation:
         sum; where success leaves little to explore, that is soon. Released: 100 in 50 episodes.
     """
 
-    hidden: tuple[int, ...] = (100, 100)
-    learning_rate: float = 1e-4
-    batch_size: int = 100
-    num_updates: int = 50_000
-    every: int = 50_000
-    stability: float = 0.1
-    late_stability: float = 0.1
-    late_step: int = 250_000
-    anchored_share: float = 0.3
+    hidden: limits.Widths = (100, 100)
+    learning_rate: limits.Rate = 1e-4
+    batch_size: limits.BatchSize = 100
+    num_updates: limits.Count = 50_000
+    every: limits.Count = 50_000
+    stability: limits.NonNegative = 0.1
+    late_stability: limits.NonNegative = 0.1
+    late_step: limits.CountFromZero = 250_000
+    anchored_share: Annotated[float, limits.Range(high=1.0, above=0.0)] = 0.3
     anchors: Literal["best", "rest"] = "best"
-    stop_error: float = 2.0
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.widths("hidden", self.hidden)
-        checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
-        checks.in_range("batch_size", self.batch_size, 1, 2**20)
-        checks.in_range("num_updates", self.num_updates, 1, 2**31 - 1)
-        checks.in_range("every", self.every, 1, 2**31 - 1)
-        checks.in_range("stability", self.stability, 0.0)
-        checks.in_range("late_stability", self.late_stability, 0.0)
-        checks.in_range("late_step", self.late_step, 0, 2**31 - 1)
-        checks.in_range("anchored_share", self.anchored_share, above=0.0, high=1.0)
-        checks.one_of("anchors", self.anchors, ("best", "rest"))
-        checks.in_range("stop_error", self.stop_error, 0.0)
+    stop_error: limits.NonNegative = 2.0
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Exploration:
     """HESS's choice of subgoals to explore with.
 
@@ -160,32 +117,19 @@ class Exploration:
       success_weight: of the success while training; the share is sigmoid(1 - 2 weight success).
     """
 
-    square: float = 3.0
-    gamma: float = 0.99
-    reach: float = 20.0
-    num_candidates: int = 1_000
-    miss_weight: float = 10.0
-    first_step: int = 50_000
-    potential_step: int = 200_000
-    extension: float = 5.0
-    every: int = 5_000
-    success_weight: float = 10.0
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("square", self.square, above=0.0)
-        checks.in_range("gamma", self.gamma, 0.0, 1.0)
-        checks.in_range("reach", self.reach, above=0.0)
-        checks.in_range("num_candidates", self.num_candidates, 1, 1_000_000)
-        checks.in_range("miss_weight", self.miss_weight, 0.0)
-        checks.in_range("first_step", self.first_step, 0, 2**31 - 1)
-        checks.in_range("potential_step", self.potential_step, 0, 2**31 - 1)
-        checks.in_range("extension", self.extension, 0.0)
-        checks.in_range("every", self.every, 1, 2**31 - 1)
-        checks.in_range("success_weight", self.success_weight, 0.0)
+    square: limits.Positive = 3.0
+    gamma: limits.Fraction = 0.99
+    reach: limits.Positive = 20.0
+    num_candidates: limits.UpToMillion = 1_000
+    miss_weight: limits.NonNegative = 10.0
+    first_step: limits.CountFromZero = 50_000
+    potential_step: limits.CountFromZero = 200_000
+    extension: limits.NonNegative = 5.0
+    every: limits.Count = 5_000
+    success_weight: limits.NonNegative = 10.0
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class HessConfig(baselines.BaselineConfig):
     """HESS (Li et al. 2021): active exploration of a learned, stable subgoal space.
 
@@ -208,11 +152,11 @@ class HessConfig(baselines.BaselineConfig):
       exploration: of the choice of subgoals.
     """
 
-    method: str = "hess"
-    period: int = 50
-    capacity: int = 1_000
-    high_capacity: int = 48_000
-    random_steps: int = 150_000
+    method: Annotated[str, limits.OneOf(("hess",))] = "hess"
+    period: Annotated[int, limits.Range(1, 10_000)] = 50
+    capacity: limits.Count = 1_000
+    high_capacity: limits.Count = 48_000
+    random_steps: limits.CountFromZero = 150_000
     costs_time: bool = True
     manager: Sac = Sac()
     controller: Ddpg = Ddpg()
@@ -220,13 +164,8 @@ class HessConfig(baselines.BaselineConfig):
     exploration: Exploration = Exploration()
 
     def __post_init__(self) -> None:
-        """Checks ranges, and how the options fit together."""
-        baselines.check_arena(self, ("hess",))
-        checks.in_range("period", self.period, 1, 10_000)
-        checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
+        """Checks how the options fit together."""
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
-        checks.in_range("high_capacity", self.high_capacity, 1, 2**31 - 1)
-        checks.in_range("random_steps", self.random_steps, 0, 2**31 - 1)
 
     def num_periods(self, episode_steps: int) -> int:
         """Returns the subgoals of an episode, of which time may cut the last one short."""

@@ -4,15 +4,17 @@ The paper names none of the learner's numbers; what stands here as default is th
 whose sources are named option by option (see also `presets`).
 """
 
-import dataclasses
 import pathlib
-from typing import Literal
+from typing import Annotated, Literal
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import checks, limits
+
+RoomSide = Annotated[int, limits.Range(2, 100)]
+"""Number of rows, or of columns, inside of a random room."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Task:
     """The maze, the oracle's movement in it, and what the high level sees.
 
@@ -38,7 +40,7 @@ class Task:
     """
 
     maze: str = "random"
-    num_decisions: int | None = None
+    num_decisions: Annotated[int, limits.Range(1, 10_000)] | None = None
     robot: str = "ant"
     reward: base.Reward = "sparse"
     extent: float = 9.0
@@ -46,33 +48,26 @@ class Task:
     step: float = base.CELL
     sigma: float = base.SIGMA
     measured: pathlib.Path | None = None
-    num_postures: int | None = None
+    num_postures: limits.UpToMillion | None = None
     num_substeps: int = 6
     map_radius: int = 0
-    num_rooms: int = 0
-    room_sides: tuple[int, int] = (5, 15)
+    num_rooms: Annotated[int, limits.Range(0, 100_000)] = 0
+    room_sides: tuple[RoomSide, RoomSide] = (5, 15)
     room_walls: float = 0.3
 
     def __post_init__(self) -> None:
-        """Checks what the view, the movement and the generator of rooms don't check themselves."""
-        checks.one_of("reward", self.reward, base.REWARDS)
-        if self.num_postures is not None:
-            checks.in_range("num_postures", self.num_postures, 1, 1_000_000)
-        checks.in_range("num_rooms", self.num_rooms, 0, 100_000)
+        """Checks how the options fit together."""
         if self.num_rooms and self.maze != type(self).maze:
             raise base.UserError(
                 f"maze = {self.maze!r} and num_rooms = {self.num_rooms} exclude each other: "
                 "training is in one maze, or in random rooms"
             )
         least, greatest = self.room_sides
-        checks.in_range("room_sides", greatest, 2, 100)
         checks.in_range("room_sides", least, 2, greatest)
-        if self.num_decisions is not None:
-            checks.in_range("num_decisions", self.num_decisions, 1, 10_000)
         checks.measured_alone(self.measured, self.step, self.sigma)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Network:
     """Kind and sizes of the actor-critic (paper, Figure 8 gives no sizes).
 
@@ -90,29 +85,17 @@ class Network:
     """
 
     kind: Literal["patch", "planner"] = "patch"
-    tile: int = 5
-    tile_features: int = 16
-    hidden: tuple[int, ...] = (128,)
-    num_iterations: int = 24
-    cell_features: int = 8
-    value_features: int = 32
+    tile: Annotated[int, limits.Range(1, 256)] = 5
+    tile_features: Annotated[int, limits.Range(1, 1024)] = 16
+    hidden: limits.Widths = (128,)
+    num_iterations: Annotated[int, limits.Range(0, 1000)] = 24
+    cell_features: Annotated[int, limits.Range(1, 1024)] = 8
+    value_features: Annotated[int, limits.Range(1, 4096)] = 32
     around: Literal["nothing", "sides", "corners"] = "sides"
-    optimism: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Checks sizes."""
-        checks.one_of("kind", self.kind, ("patch", "planner"))
-        checks.in_range("tile", self.tile, 1, 256)
-        checks.in_range("tile_features", self.tile_features, 1, 1024)
-        checks.widths("hidden", self.hidden)
-        checks.in_range("num_iterations", self.num_iterations, 0, 1000)
-        checks.in_range("cell_features", self.cell_features, 1, 1024)
-        checks.in_range("value_features", self.value_features, 1, 4096)
-        checks.one_of("around", self.around, ("nothing", "sides", "corners"))
-        checks.in_range("optimism", self.optimism, 0.0, 100.0)
+    optimism: Annotated[float, limits.Range(0.0, 100.0)] = 1.0
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Learner:
     """Numbers of PEG-A2C (paper, Algorithm 1).
 
@@ -135,38 +118,22 @@ class Learner:
       max_grad_norm: global norm to which gradients are clipped (openai/baselines `a2c`).
     """
 
-    num_workers: int = 64
-    window: int | None = None
+    num_workers: Annotated[int, limits.Range(1, 2**20)] = 64
+    window: Annotated[int, limits.Range(1, 10_000)] | None = None
     looks_beyond_limit: bool = False
-    num_updates: int = 8000
-    gamma: float = 0.99
-    lambda_: float = 1.0
+    num_updates: limits.Count = 8000
+    gamma: limits.Fraction = 0.99
+    lambda_: limits.Fraction = 1.0
     optimiser: Literal["rmsprop", "adam"] = "rmsprop"
-    learning_rate: float = 7e-4
-    learning_rate_end: float = 0.0
-    entropy: float = 0.01
-    entropy_end: float = 0.01
-    value_coef: float = 0.5
-    max_grad_norm: float = 0.5
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("num_workers", self.num_workers, 1, 2**20)
-        checks.in_range("num_updates", self.num_updates, 1, 2**31 - 1)
-        checks.in_range("gamma", self.gamma, 0.0, 1.0)
-        checks.in_range("lambda_", self.lambda_, 0.0, 1.0)
-        checks.one_of("optimiser", self.optimiser, ("rmsprop", "adam"))
-        checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
-        checks.in_range("learning_rate_end", self.learning_rate_end, 0.0, 1.0)
-        checks.in_range("entropy", self.entropy, 0.0, 10.0)
-        checks.in_range("entropy_end", self.entropy_end, 0.0, 10.0)
-        checks.in_range("value_coef", self.value_coef, 0.0, 100.0)
-        checks.in_range("max_grad_norm", self.max_grad_norm, above=0.0)
-        if self.window is not None:
-            checks.in_range("window", self.window, 1, 10_000)
+    learning_rate: limits.Rate = 7e-4
+    learning_rate_end: limits.Fraction = 0.0
+    entropy: Annotated[float, limits.Range(0.0, 10.0)] = 0.01
+    entropy_end: Annotated[float, limits.Range(0.0, 10.0)] = 0.01
+    value_coef: Annotated[float, limits.Range(0.0, 100.0)] = 0.5
+    max_grad_norm: limits.Positive = 0.5
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class HighConfig:
     """A training run of the high level.
 
@@ -191,7 +158,7 @@ class HighConfig:
     """
 
     preset: str = "paper"
-    seed: int = 0
+    seed: limits.Seed = 0
     run: pathlib.Path = pathlib.Path("runs/high")
     resume: bool = False
     task: Task = Task()
@@ -199,17 +166,15 @@ class HighConfig:
     learner: Learner = Learner()
     log_every: int = 100
     evaluate_every: int = 1000
-    num_eval_episodes: int = 500
+    num_eval_episodes: limits.UpToMillion = 500
     checkpoint_every: int = 1000
-    num_devices: int | None = None
+    num_devices: Annotated[int, limits.Range(1, 1024)] | None = None
     coordinator: str | None = None
     num_processes: int | None = None
     process_id: int | None = None
 
     def __post_init__(self) -> None:
         """Checks how the options fit together."""
-        checks.in_range("seed", self.seed, 0, 2**32 - 1)
-        checks.in_range("num_eval_episodes", self.num_eval_episodes, 1, 1_000_000)
         if self.network.kind == "patch":
             checks.divides("tile", self.network.tile, "pixels", self.task.pixels)
         if (self.network.kind == "planner") != (self.task.map_radius > 0):
@@ -220,5 +185,3 @@ class HighConfig:
         checks.divides("log_every", self.log_every, "num_updates", self.learner.num_updates)
         checks.divides("log_every", self.log_every, "evaluate_every", self.evaluate_every)
         checks.divides("log_every", self.log_every, "checkpoint_every", self.checkpoint_every)
-        if self.num_devices is not None:
-            checks.in_range("num_devices", self.num_devices, 1, 1024)

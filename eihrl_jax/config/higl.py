@@ -1,10 +1,9 @@
 """Options of HIGL, HRAC and HIRO; defaults are those of HIGL's released code."""
 
-import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
 from eihrl_jax import base
-from eihrl_jax.config import baselines, checks
+from eihrl_jax.config import baselines, checks, limits
 
 Guidance = Literal["landmarks", "adjacency", "none"]
 """What holds a manager back from subgoals out of reach."""
@@ -13,7 +12,7 @@ GUIDANCE: dict[str, Guidance] = {"higl": "landmarks", "hrac": "adjacency", "hiro
 """What makes the methods differ."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Td3:
     """One level of HIGL: TD3 (Fujimoto et al. 2018) as its released code has it.
 
@@ -32,34 +31,20 @@ class Td3:
       batch_size: transitions per update.
     """
 
-    hidden: tuple[int, ...] = (300, 300)
-    reach: float = 1.0
-    actor_rate: float = 1e-4
-    critic_rate: float = 1e-3
-    critic_decay: float = 1e-4
-    gamma: float = 0.99
-    target_rate: float = 0.005
-    noise: float = 1.0
-    target_noise: float = 0.2
-    target_clip: float = 0.5
-    batch_size: int = 128
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.widths("hidden", self.hidden)
-        checks.in_range("reach", self.reach, above=0.0)
-        checks.in_range("actor_rate", self.actor_rate, above=0.0, high=1.0)
-        checks.in_range("critic_rate", self.critic_rate, above=0.0, high=1.0)
-        checks.in_range("critic_decay", self.critic_decay, 0.0, 1.0)
-        checks.in_range("gamma", self.gamma, 0.0, 1.0)
-        checks.in_range("target_rate", self.target_rate, above=0.0, high=1.0)
-        checks.in_range("noise", self.noise, 0.0)
-        checks.in_range("target_noise", self.target_noise, 0.0)
-        checks.in_range("target_clip", self.target_clip, 0.0)
-        checks.in_range("batch_size", self.batch_size, 1, 2**20)
+    hidden: limits.Widths = (300, 300)
+    reach: limits.Positive = 1.0
+    actor_rate: limits.Rate = 1e-4
+    critic_rate: limits.Rate = 1e-3
+    critic_decay: limits.Fraction = 1e-4
+    gamma: limits.Fraction = 0.99
+    target_rate: limits.Rate = 0.005
+    noise: limits.NonNegative = 1.0
+    target_noise: limits.NonNegative = 0.2
+    target_clip: limits.NonNegative = 0.5
+    batch_size: limits.BatchSize = 128
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Adjacency:
     """HRAC's adjacency network, which learns how far apart places are in control steps.
 
@@ -77,32 +62,23 @@ class Adjacency:
       period: control steps of all environments between fits.
     """
 
-    steps: int = 4
-    hidden: tuple[int, ...] = (128, 128, 128)
-    num_features: int = 32
-    learning_rate: float = 2e-4
-    near: float = 1.0
+    steps: Annotated[int, limits.Range(1, 1_000)] = 4
+    hidden: limits.Widths = (128, 128, 128)
+    num_features: Annotated[int, limits.Range(1, 4096)] = 32
+    learning_rate: limits.Rate = 2e-4
+    near: limits.Positive = 1.0
     far: float = 1.2
-    batch_size: int = 64
-    epochs: int = 25
-    max_updates: int = 50_000
-    period: int = 50_000
+    batch_size: limits.BatchSize = 64
+    epochs: Annotated[int, limits.Range(1, 10_000)] = 25
+    max_updates: limits.Count = 50_000
+    period: limits.Count = 50_000
 
     def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("steps", self.steps, 1, 1_000)
-        checks.widths("hidden", self.hidden)
-        checks.in_range("num_features", self.num_features, 1, 4096)
-        checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
-        checks.in_range("near", self.near, above=0.0)
+        """Checks that what is pushed apart isn't drawn together."""
         checks.in_range("far", self.far, self.near)
-        checks.in_range("batch_size", self.batch_size, 1, 2**20)
-        checks.in_range("epochs", self.epochs, 1, 10_000)
-        checks.in_range("max_updates", self.max_updates, 1, 2**31 - 1)
-        checks.in_range("period", self.period, 1, 2**31 - 1)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Landmarks:
     """HIGL's landmarks and the graph that chooses one of them for the manager to follow.
 
@@ -127,37 +103,26 @@ class Landmarks:
         to the softmax, and the 20 of the released code as much as a way of some cells.
     """
 
-    num_coverage: int = 20
-    num_novel: int = 20
-    pool: int = 1_000
+    num_coverage: Annotated[int, limits.Range(1, 1_000)] = 20
+    num_novel: Annotated[int, limits.Range(1, 1_000)] = 20
+    pool: limits.UpToMillion = 1_000
     per_update: bool = False
-    merge_radius: float = 0.2
-    novelty_hidden: tuple[int, ...] = (128, 128)
-    novelty_rate: float = 1e-3
-    first_step: int = 60_000
-    cutoff: float = -38.0
-    near: float = -10.0
-    num_first: int = 24
-    heat: float = 0.9
-    rounds: int = 6
+    merge_radius: limits.NonNegative = 0.2
+    novelty_hidden: limits.Widths = (128, 128)
+    novelty_rate: limits.Rate = 1e-3
+    first_step: limits.CountFromZero = 60_000
+    cutoff: Annotated[float, limits.Range(high=0.0)] = -38.0
+    near: Annotated[float, limits.Range(high=0.0)] = -10.0
+    num_first: Annotated[int, limits.Range(1, 2_000)] = 24
+    heat: limits.Positive = 0.9
+    rounds: Annotated[int, limits.Range(1, 100)] = 6
 
     def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("num_coverage", self.num_coverage, 1, 1_000)
-        checks.in_range("num_novel", self.num_novel, 1, 1_000)
-        checks.in_range("pool", self.pool, self.num_coverage, 1_000_000)
-        checks.in_range("merge_radius", self.merge_radius, 0.0)
-        checks.widths("novelty_hidden", self.novelty_hidden)
-        checks.in_range("novelty_rate", self.novelty_rate, above=0.0, high=1.0)
-        checks.in_range("first_step", self.first_step, 0, 2**31 - 1)
-        checks.in_range("cutoff", self.cutoff, high=0.0)
-        checks.in_range("near", self.near, high=0.0)
-        checks.in_range("num_first", self.num_first, 1, 2_000)
-        checks.in_range("heat", self.heat, above=0.0)
-        checks.in_range("rounds", self.rounds, 1, 100)
+        """Checks that there are enough steps to choose from."""
+        checks.in_range("pool", self.pool, self.num_coverage)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class HiglConfig(baselines.BaselineConfig):
     """HIGL (Kim et al. 2021), and what it grew from: HRAC (Zhang et al. 2020), HIRO (Nachum 2018).
 
@@ -189,18 +154,18 @@ class HiglConfig(baselines.BaselineConfig):
         while the reward is that of before it, as in the released code.
     """
 
-    method: str = "higl"
+    method: Annotated[str, limits.OneOf(tuple(GUIDANCE))] = "higl"
     guidance: Guidance = "landmarks"
-    guidance_weight: float = 20.0
-    landmark_distance: float = 2.0
-    period: int = 10
-    periods_per_round: int = 5
-    updates_per_step: float = 1.0
+    guidance_weight: limits.NonNegative = 20.0
+    landmark_distance: limits.Positive = 2.0
+    period: Annotated[int, limits.Range(1, 1_000)] = 10
+    periods_per_round: Annotated[int, limits.Range(1, 10_000)] = 5
+    updates_per_step: Annotated[float, limits.Range(above=0.0, high=100.0)] = 1.0
     costs_time: bool = True
-    reward_scale: float = 0.1
-    num_candidates: int = 12
-    capacity: int = 200_000
-    high_capacity: int = 100_000
+    reward_scale: limits.Positive = 0.1
+    num_candidates: Annotated[int, limits.Range(1, 1_000)] = 12
+    capacity: limits.Count = 200_000
+    high_capacity: limits.Count = 100_000
     manager: Td3 = Td3(reach=10.0, gamma=0.99)
     controller: Td3 = Td3(reach=30.0, gamma=0.95)
     adjacency: Adjacency = Adjacency()
@@ -209,22 +174,12 @@ class HiglConfig(baselines.BaselineConfig):
     stores_moved_subgoal: bool = False
 
     def __post_init__(self) -> None:
-        """Checks ranges, and how the options fit together."""
-        baselines.check_arena(self, tuple(GUIDANCE))
+        """Checks how the options fit together."""
         if self.guidance != GUIDANCE[self.method]:
             raise base.UserError(
                 f"guidance = {self.guidance!r} must be {GUIDANCE[self.method]!r} with method = "
                 f"{self.method!r}"
             )
-        checks.in_range("guidance_weight", self.guidance_weight, 0.0)
-        checks.in_range("landmark_distance", self.landmark_distance, above=0.0)
-        checks.in_range("period", self.period, 1, 1_000)
-        checks.in_range("periods_per_round", self.periods_per_round, 1, 10_000)
-        checks.in_range("updates_per_step", self.updates_per_step, above=0.0, high=100.0)
-        checks.in_range("reward_scale", self.reward_scale, above=0.0)
-        checks.in_range("num_candidates", self.num_candidates, 1, 1_000)
-        checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
-        checks.in_range("high_capacity", self.high_capacity, 1, 2**31 - 1)
         subgoals = self.num_envs * self.periods_per_round
         name = "num_envs * periods_per_round"
         checks.divides(f"{name} * period", self.steps_per_round, "capacity", self.capacity)

@@ -1,11 +1,10 @@
 """Options of the low level's training: input, reward, learner, and the run around them."""
 
-import dataclasses
 import pathlib
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import checks, limits
 
 Frame = Literal["world", "direction", "canonical"]
 """Frames in which the low level may see the world, see `LowInput`."""
@@ -15,7 +14,7 @@ Relabel = Literal["never", "direction", "restart"]
 """Ways to use a stored step for another direction, see `LowConfig`."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class LowInput:
     """How observations become the network's input.
 
@@ -29,15 +28,10 @@ class LowInput:
 
     frame: Frame = "world"
     use_progress: bool = False
-    velocity_scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Checks the frame, which may come from a file."""
-        checks.one_of("frame", self.frame, get_args(Frame))
-        checks.in_range("velocity_scale", self.velocity_scale, above=0.0, high=100.0)
+    velocity_scale: Annotated[float, limits.Range(above=0.0, high=100.0)] = 1.0
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class LowReward:
     """The intrinsic reward, a difference of potentials of the displacement since the subgoal.
 
@@ -51,21 +45,14 @@ class LowReward:
       fall_cost: what a fall costs besides the end of the episode, which it must end; 0 in eq. 1.
     """
 
-    scale: float = 3.0
-    lateral_weight: float = 0.0
-    beyond_cell: float = 1.0
+    scale: limits.Positive = 3.0
+    lateral_weight: Annotated[float, limits.Range(0.0, 10.0)] = 0.0
+    beyond_cell: Annotated[float, limits.Range(-1.0, 1.0)] = 1.0
     is_paced: bool = False
-    fall_cost: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("scale", self.scale, above=0.0)
-        checks.in_range("lateral_weight", self.lateral_weight, 0.0, 10.0)
-        checks.in_range("beyond_cell", self.beyond_cell, -1.0, 1.0)
-        checks.in_range("fall_cost", self.fall_cost, 0.0, 1000.0)
+    fall_cost: Annotated[float, limits.Range(0.0, 1000.0)] = 0.0
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Droq:
     """Hyper-parameters of DroQ; defaults of its authors' code for the ant.
 
@@ -86,41 +73,27 @@ class Droq:
       gamma: discount per control step.
     """
 
-    hidden: tuple[int, ...] = (256, 256)
-    num_critics: int = 2
-    dropout: float = 0.01
-    learning_rate: float = 3e-4
-    learning_rate_half_life: int | None = None
-    target_rate: float = 0.005
-    average_rate: float = 1.0
-    target_entropy: float = -0.5
-    temperature: float = 1.0
-    actor_period: int = 20
-    batch_size: int = 256
-    gamma: float = 0.99
+    hidden: tuple[Annotated[int, limits.Range(2, 4096)], ...] = (256, 256)
+    num_critics: Annotated[int, limits.Range(1, 100)] = 2
+    dropout: Annotated[float, limits.Range(0.0, below=1.0)] = 0.01
+    learning_rate: limits.Rate = 3e-4
+    learning_rate_half_life: limits.Count | None = None
+    target_rate: limits.Rate = 0.005
+    average_rate: limits.Rate = 1.0
+    target_entropy: Annotated[float, limits.Range(-10.0, 10.0)] = -0.5
+    temperature: limits.Positive = 1.0
+    actor_period: Annotated[int, limits.Range(1, 1000)] = 20
+    batch_size: limits.BatchSize = 256
+    gamma: limits.Fraction = 0.99
 
     def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.widths("hidden", self.hidden, least=2)
+        """Checks that layers have an even number of units: dropout decides about two at once."""
         for width in self.hidden:
             if width % 2:
                 raise base.UserError(f"hidden = {width} must be even")
-        checks.in_range("num_critics", self.num_critics, 1, 100)
-        checks.in_range("dropout", self.dropout, 0.0, below=1.0)
-        checks.in_range("learning_rate", self.learning_rate, above=0.0, high=1.0)
-        if self.learning_rate_half_life is not None:
-            half_life = self.learning_rate_half_life
-            checks.in_range("learning_rate_half_life", half_life, 1, 2**31 - 1)
-        checks.in_range("target_rate", self.target_rate, above=0.0, high=1.0)
-        checks.in_range("average_rate", self.average_rate, above=0.0, high=1.0)
-        checks.in_range("target_entropy", self.target_entropy, -10.0, 10.0)
-        checks.in_range("temperature", self.temperature, above=0.0)
-        checks.in_range("actor_period", self.actor_period, 1, 1000)
-        checks.in_range("batch_size", self.batch_size, 1, 2**20)
-        checks.in_range("gamma", self.gamma, 0.0, 1.0)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class LowConfig:
     """A training run of the low level.
 
@@ -154,46 +127,33 @@ class LowConfig:
     """
 
     preset: str = "paper"
-    seed: int = 0
+    seed: limits.Seed = 0
     run: pathlib.Path = pathlib.Path("runs/low")
     resume: bool = False
     start_from: pathlib.Path | None = None
     robot: str = "ant"
     engine: base.EngineName = "mujoco"
-    num_envs: int = 1
-    num_iterations: int = 400_000
-    warmup_iterations: int = 5_000
-    updates_per_iteration: int = 20
-    capacity: int = 400_000
+    num_envs: Annotated[int, limits.Range(1, 2**16)] = 1
+    num_iterations: limits.Count = 400_000
+    warmup_iterations: limits.Count = 5_000
+    updates_per_iteration: Annotated[int, limits.Range(1, 1000)] = 20
+    capacity: limits.Count = 400_000
     relabel: Relabel = "never"
-    relabel_share: float = 1.0
-    num_rooms: int = 0
-    episode_steps: int = 500
+    relabel_share: limits.Fraction = 1.0
+    num_rooms: Annotated[int, limits.Range(0, 4096)] = 0
+    episode_steps: Annotated[int, limits.Range(1, 100_000)] = 500
     ends_at_fall: bool = True
     low_input: LowInput = LowInput()
     reward: LowReward = LowReward()
     droq: Droq = Droq()
-    log_every: int = 1_000
+    log_every: Annotated[int, limits.Range(1)] = 1_000
     evaluate_every: int = 10_000
     checkpoint_every: int = 20_000
-    num_postures: int = 2048
+    num_postures: limits.UpToMillion = 2048
 
     def __post_init__(self) -> None:
-        """Checks ranges, and how the options fit together."""
-        checks.in_range("seed", self.seed, 0, 2**32 - 1)
-        checks.one_of("engine", self.engine, base.ENGINES)
-        checks.in_range("num_envs", self.num_envs, 1, 2**16)
-        checks.in_range("num_iterations", self.num_iterations, 1, 2**31 - 1)
-        checks.in_range("warmup_iterations", self.warmup_iterations, 1, 2**31 - 1)
-        checks.in_range("updates_per_iteration", self.updates_per_iteration, 1, 1000)
-        checks.in_range("capacity", self.capacity, 1, 2**31 - 1)
+        """Checks how the options fit together."""
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
-        checks.one_of("relabel", self.relabel, get_args(Relabel))
-        checks.in_range("relabel_share", self.relabel_share, 0.0, 1.0)
-        checks.in_range("num_rooms", self.num_rooms, 0, 4096)
-        checks.in_range("episode_steps", self.episode_steps, 1, 100_000)
-        checks.in_range("num_postures", self.num_postures, 1, 1_000_000)
-        checks.in_range("log_every", self.log_every, 1)
         checks.divides("log_every", self.log_every, "num_iterations", self.num_iterations)
         checks.divides("log_every", self.log_every, "evaluate_every", self.evaluate_every)
         checks.divides(

@@ -1,13 +1,13 @@
 """Options of comparing bounds on the hierarchy's loss with the loss that is measured."""
 
-import dataclasses
 import pathlib
+from typing import Annotated
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import limits
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class ValueGapConfig:
     """Measures how a high level's value changes with the robot's noise, and what bounds say.
 
@@ -30,23 +30,25 @@ class ValueGapConfig:
     """
 
     high: str = "best-random-0"
-    mazes: tuple[str, ...] = ("random", "g1")
-    sigmas: tuple[float, ...] = (0.0, 0.1, 0.2, 0.28, 0.29, 0.31, 0.32, 0.4, 0.5, 0.6, 0.8, 1.0)
-    reference: float = base.SIGMA
+    mazes: Annotated[tuple[str, ...], limits.Distinct()] = ("random", "g1")
+    sigmas: tuple[Annotated[float, limits.Range(0.0, base.CELL)], ...] = (
+        0.0,
+        0.1,
+        0.2,
+        0.28,
+        0.29,
+        0.31,
+        0.32,
+        0.4,
+        0.5,
+        0.6,
+        0.8,
+        1.0,
+    )
+    reference: Annotated[float, limits.Range(above=0.0, high=base.CELL)] = base.SIGMA
     robots: tuple[str, ...] = ("point", "ant")
-    episodes: int = 2_000
-    walking_episodes: int = 500
-    gamma: float = 0.94
-    seed: int = 0
+    episodes: Annotated[int, limits.Range(2, 1_000_000)] = 2_000
+    walking_episodes: Annotated[int, limits.Range(2, 1_000_000)] = 500
+    gamma: Annotated[float, limits.Range(0.0, below=1.0)] = 0.94
+    seed: limits.Seed = 0
     out: pathlib.Path = pathlib.Path("runs/value-gap")
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.distinct("mazes", self.mazes)
-        for sigma in self.sigmas:
-            checks.in_range("sigmas", sigma, 0.0, base.CELL)
-        checks.in_range("reference", self.reference, above=0.0, high=base.CELL)
-        checks.in_range("episodes", self.episodes, 2, 1_000_000)
-        checks.in_range("walking_episodes", self.walking_episodes, 2, 1_000_000)
-        checks.in_range("gamma", self.gamma, 0.0, below=1.0)
-        checks.in_range("seed", self.seed, 0, 2**32 - 1)
