@@ -1,4 +1,4 @@
-"""Options of an evaluation: which systems, in which mazes, how many episodes."""
+"""Options of an evaluation: which agents, in which mazes, how many episodes."""
 
 import pathlib
 from typing import Annotated, Literal
@@ -9,13 +9,16 @@ from eihrl_jax.config import checks, limits
 Animate = Literal["one", "all", "none"]
 """Which evaluations are animated, see `EvaluateConfig`."""
 
-RANDOM = "random"
-"""What the high level is called that chooses directions uniformly."""
+UNIFORM = "uniform"
+"""What the high level is called that chooses directions uniformly (the paper's RAND-H)."""
+
+UNIFORM_NAMES = (UNIFORM, "random")
+"""What `--high` takes for it; "random" is the name that it once had, now a maze's alone."""
 
 
 @limits.dataclass
 class EvaluateConfig:
-    """Evaluates two-level systems in mazes: every robot x movement x high level in every maze.
+    """Evaluates two-level agents in mazes: every robot x movement x high level in every maze.
 
     Success is achieved goals / total goals, with 95 % intervals. Writes eval.json, episodes.csv,
     tables.md, a heatmap per maze, and an animation.
@@ -24,7 +27,7 @@ class EvaluateConfig:
       mazes: names (random, u, s, spiral, g1, g2, g3) or text files; default: Table 1 of the paper.
       robot: point, ant, swimmer, humanoid or description files (docs/robots.md).
       movement: oracle: the simulator moves the torso; full: the robot walks with its low level.
-      high: run folders, policy folders or names of shipped policies; random: uniform directions.
+      high: run folders, policy folders or names of shipped policies; uniform: uniform directions.
         A baseline's run folder stands for the whole baseline, which only walks.
       low: low level of each robot for full movement, like `high`; none: the robots' shipped ones.
       reward: of the task, in which returns are counted; with dense reward episodes last until their
@@ -40,7 +43,7 @@ class EvaluateConfig:
         postures take the place of step, sigma and the shipped postures.
       engine: physics engine of full movement.
       animate: an animation of one maze, of all, or of none.
-      heatmaps: draw where the robot was, one picture per maze and system.
+      heatmaps: draw where the robot was, one picture per maze and agent.
     """
 
     mazes: Annotated[tuple[str, ...], limits.Distinct()] = ("random", "g1", "g2", "g3")

@@ -1,4 +1,4 @@
-"""Evaluates systems in mazes: loads them and runs the episodes; `reporting` writes and draws."""
+"""Evaluates agents in mazes: loads them and runs the episodes; `reporting` writes and draws."""
 
 import dataclasses
 import pathlib
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.envs import raster, subgoals
-from eihrl_jax.evaluation import baselines, results, rollouts, systems
+from eihrl_jax.evaluation import baselines, loading, results, rollouts
 from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import progress as progress_lib
@@ -18,9 +18,9 @@ NUM_RECORDED = 12
 
 @dataclasses.dataclass(frozen=True)
 class _Prepared:
-    """A system that is ready to run."""
+    """An agent that is ready to run."""
 
-    system: results.System
+    agent: results.Agent
     robot: robot_lib.Robot
     runner: rollouts.Runner
     high_policy: rollouts.HighPolicy
@@ -28,18 +28,18 @@ class _Prepared:
 
 @dataclasses.dataclass(frozen=True)
 class Evaluated:
-    """All episodes of one system.
+    """All episodes of one agent.
 
     Attributes:
-      system: what was evaluated.
+      agent: what was evaluated.
       robot: its robot.
       mazes: by name.
       rollouts: its episodes by maze.
       seconds: that they took, compiling left out.
-      is_last: whether no other system follows.
+      is_last: whether no other agent follows.
     """
 
-    system: results.System
+    agent: results.Agent
     robot: robot_lib.Robot
     mazes: dict[str, mazes.Maze]
     rollouts: dict[str, rollouts.Rollout]
@@ -51,7 +51,7 @@ class Evaluated:
         return [
             results.summarise(
                 name,
-                self.system,
+                self.agent,
                 rollout.episodes,
                 num_goals=int(self.mazes[name].num_goals),
                 num_decisions=int(self.mazes[name].num_decisions),
@@ -61,13 +61,13 @@ class Evaluated:
 
 
 def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
-    """Runs all episodes, system by system; everything is loaded before the first one runs.
+    """Runs all episodes, agent by agent; everything is loaded before the first one runs.
 
     Args:
       options: what is to be evaluated.
 
     Raises:
-      base.UserError: a maze, robot or policy is unknown or doesn't fit; two systems would have the
+      base.UserError: a maze, robot or policy is unknown or doesn't fit; two agents would have the
         same name in the files.
     """
     chosen = _load_mazes(options)
@@ -80,11 +80,11 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
     prepared = _prepare(options, plan)
 
     for item in prepared:
-        title = f"{item.system.robot}, {item.system.movement} movement, {item.system.high}"
+        title = f"{item.agent.robot}, {item.agent.movement} movement, {item.agent.high}"
         with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
             found, seconds = item.runner.run(item.high_policy, progress)
         yield Evaluated(
-            system=item.system,
+            agent=item.agent,
             robot=item.robot,
             mazes=chosen,
             rollouts=found,
@@ -112,7 +112,7 @@ def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> li
     if peers and "full" not in options.movement:
         raise base.UserError(f"{peers[0]} is a baseline, which walks: it needs --movement full")
     highs = [
-        systems.load_high(name, greedy=options.greedy) for name in options.high if name not in peers
+        loading.load_high(name, greedy=options.greedy) for name in options.high if name not in peers
     ]
     prepared = []
     for i, name in enumerate(options.robot):
@@ -128,12 +128,10 @@ def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> li
                 view: rollouts.Runner(env, plan) for view, env in zip(views, made, strict=True)
             }
             for high in highs:
-                system = results.System(
-                    robot=robot.name, movement=movement, high=high.label, low=low
-                )
-                prepared.append(_Prepared(system, robot, runners[high.view], high.policy))
+                agent = results.Agent(robot=robot.name, movement=movement, high=high.label, low=low)
+                prepared.append(_Prepared(agent, robot, runners[high.view], high.policy))
         prepared += [_prepare_peer(options, robot, peer, plan, stacked) for peer in peers]
-    _check_names([item.system for item in prepared])
+    _check_names([item.agent for item in prepared])
     return prepared
 
 
@@ -144,22 +142,22 @@ def _prepare_peer(
     plan: rollouts.Plan,
     stacked: mazes.Maze,
 ) -> _Prepared:
-    """Loads a baseline: both levels at once, to which it is nothing what a high level chooses."""
-    system = results.System(robot=robot.name, movement="full", high=name, low=None)
+    """Loads a baseline: both levels in one, which ignores what a high level chooses."""
+    agent = results.Agent(robot=robot.name, movement="full", high=name, low=None)
     engine = engines.make(robot, options.engine)
     env = baselines.load(name, engine, stacked, reward=options.reward)
-    nobody = systems.load_high(evaluate_config.RANDOM)
-    return _Prepared(system, robot, rollouts.Runner(env, plan), nobody.policy)
+    uniform = loading.load_high(evaluate_config.UNIFORM)
+    return _Prepared(agent, robot, rollouts.Runner(env, plan), uniform.policy)
 
 
-def _check_names(all_systems: Sequence[results.System]) -> None:
-    """Makes sure that no system's files take the place of another's."""
+def _check_names(agents: Sequence[results.Agent]) -> None:
+    """Makes sure that no agent's files take the place of another's."""
     names: set[str] = set()
-    for system in all_systems:
-        name = system.file_name
+    for agent in agents:
+        name = agent.file_name
         if name in names:
             raise base.UserError(
-                f"high: files of two systems would have the same name, {name}, of {system.high!r} "
+                f"high: files of two agents would have the same name, {name}, of {agent.high!r} "
                 "and another; evaluate them one by one"
             )
         names.add(name)
@@ -171,14 +169,15 @@ def _envs(
     low: str | None,
     stacked: mazes.Maze,
     views: Iterable[raster.View],
-) -> list[rollouts.Traced]:
+) -> list[rollouts.Recordable]:
     """Builds one robot's environment for each view: walking with `low`, or moved by the oracle."""
     reward = options.reward
     if low is None:
         walking = subgoals.walking(robot, options.measured, options.step, options.sigma)
         return [
-            systems.oracle(robot, stacked, view, walking=walking, reward=reward) for view in views
+            loading.oracle_env(robot, stacked, view, walking=walking, reward=reward)
+            for view in views
         ]
-    low_policy = systems.load_low(low, robot)
+    low_policy = loading.load_low(low, robot)
     engine = engines.make(robot, options.engine)
-    return [systems.full(engine, stacked, view, low_policy, reward=reward) for view in views]
+    return [loading.full_env(engine, stacked, view, low_policy, reward=reward) for view in views]

@@ -15,7 +15,7 @@ from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
 from eihrl_jax.config import measure as measure_config
 from eihrl_jax.envs import hierarchy, locomotion, postures, rooms, subgoals, wrappers
-from eihrl_jax.evaluation import systems
+from eihrl_jax.evaluation import loading
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import rotations, tree
 from eihrl_jax.physics import engines
@@ -99,7 +99,7 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
       base.UserError: robot or policy is unknown or doesn't fit.
     """
     robot = robots.load(options.robot)
-    policy = systems.load_low(options.low or options.robot, robot)
+    policy = loading.load_low(options.low or options.robot, robot)
     engine = engines.make(robot, options.engine)
     walled = rooms.random_rooms(NUM_ROOMS, _ROOM_SEED + options.seed)
     floors = {subgoals.OPEN: rooms.open_floor(), subgoals.ROOMS: walled}

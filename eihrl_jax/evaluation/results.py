@@ -1,4 +1,4 @@
-"""What an evaluation found, as plain data: one `Cell` per maze and system, and `eval.json`.
+"""Results of an evaluation as plain data: one `Cell` per maze and agent, and `eval.json`.
 
 `eval.json` holds the fields of `Evaluation`. Rates lie in [0, 1]; a number that does not exist is
 null.
@@ -6,6 +6,7 @@ null.
 
 import collections
 import dataclasses
+import json
 import pathlib
 import re
 from typing import Any
@@ -15,23 +16,27 @@ from jaxtyping import Bool, Float, Int
 
 from eihrl_jax import base
 from eihrl_jax.config import codec
+from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.evaluation import statistics
 
-FORMAT = 1
+FORMAT = 2
+"""Of `eval.json`. Files of format 1, which call agents systems and uniform directions random, are
+read too."""
+
 OUTCOMES = ("solved", "fallen", "unstable", "late")
 """How an episode ends: all goals achieved; else the robot had fallen; else its simulation broke
 down; else it was upright when the last decision was spent."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class System:
-    """What is evaluated.
+class Agent:
+    """What is evaluated: a high level, and what carries out its subgoals.
 
     Attributes:
       robot: name of the robot.
-      movement: "oracle", where the simulator moves the torso, or "full", where the robot walks.
-      high: label of the high level; "random" for uniform directions.
-      low: label of the low level; None with oracle movement.
+      movement: "oracle", where the simulator moves the torso, or "full", the full hierarchy.
+      high: label of the high level, "uniform" for uniform directions; or of a baseline.
+      low: label of the low level; None with oracle movement and for a baseline.
     """
 
     robot: str
@@ -41,7 +46,7 @@ class System:
 
     @property
     def file_name(self) -> str:
-        """What files call it."""
+        """Name of the agent in files' names, e.g. `ant-full-uniform`."""
         words = (self.robot, self.movement, pathlib.PurePath(self.high).name)
         return re.sub(r"[^\w.-]+", "_", "-".join(words))
 
@@ -85,11 +90,11 @@ class Outcomes:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Cell:
-    """The result of one system in one maze.
+    """The result of one agent in one maze.
 
     Attributes:
       maze: name of the maze.
-      system: what was evaluated.
+      agent: what was evaluated.
       seeds: evaluation seeds.
       num_episodes: episodes over all seeds.
       num_goals: goals per episode.
@@ -104,7 +109,7 @@ class Cell:
     """
 
     maze: str
-    system: System
+    agent: Agent
     seeds: tuple[int, ...]
     num_episodes: int
     num_goals: int
@@ -120,7 +125,7 @@ class Cell:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """Some systems in some mazes.
+    """Some agents in some mazes.
 
     Attributes:
       format: of the file, `FORMAT`.
@@ -135,19 +140,19 @@ class Evaluation:
 
 def summarise(
     maze: str,
-    system: System,
+    agent: Agent,
     episodes: Episodes,
     *,
     num_goals: int,
     num_decisions: int,
 ) -> Cell:
-    """Summarises the episodes of one system in one maze."""
+    """Summarises the episodes of one agent in one maze."""
     seeds = tuple(int(seed) for seed in dict.fromkeys(episodes.seed.tolist()))
     counts = collections.Counter(episodes.outcomes(num_goals))
     solved = episodes.decisions[episodes.achieved == num_goals]
     return Cell(
         maze=maze,
-        system=system,
+        agent=agent,
         seeds=seeds,
         num_episodes=len(episodes.achieved),
         num_goals=num_goals,
@@ -173,16 +178,35 @@ def load(path: pathlib.Path) -> Evaluation:
     """Reads an `eval.json`.
 
     Raises:
-      base.UserError: the file can't be read or is no `eval.json` of this format.
+      base.UserError: the file can't be read or is no `eval.json` of a known format.
     """
     try:
         text = path.read_text()
     except (OSError, UnicodeDecodeError) as error:
         raise base.UserError(f"{path} can't be read: {error}") from None
     try:
-        evaluation = codec.from_json(Evaluation, text)
-    except base.UserError as error:
+        evaluation = codec.from_json(Evaluation, _updated(text))
+    except ValueError as error:
         raise base.UserError(f"{path} is no eval.json: {error}") from None
     if evaluation.format != FORMAT:
         raise base.UserError(f"{path}: eval.json has format {evaluation.format}, expected {FORMAT}")
     return evaluation
+
+
+def _updated(text: str) -> str:
+    """Returns a file of format 1 as one of today's format, any other as it is."""
+    content = json.loads(text)
+    if not isinstance(content, dict) or content.get("format") != 1:
+        return text
+    return json.dumps(json.loads(text, object_hook=_renamed) | {"format": FORMAT})
+
+
+def _renamed(item: dict[str, Any]) -> dict[str, Any]:
+    """Returns a JSON object of format 1, a cell, agent or config, in today's words."""
+    if isinstance(item.get("system"), dict):  # the versions have a system too: the computer's
+        item["agent"] = item.pop("system")
+    if item.get("high") == "random":
+        item["high"] = evaluate_config.UNIFORM
+    elif isinstance(item.get("high"), list):
+        item["high"] = [evaluate_config.UNIFORM if h == "random" else h for h in item["high"]]
+    return item

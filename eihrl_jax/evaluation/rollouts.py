@@ -35,7 +35,7 @@ HighPolicy = Callable[[Any, Key[Array, ""]], Int[Array, ""]]
 
 
 @runtime_checkable
-class Traced(Protocol):
+class Recordable(Protocol):
     """An environment of decisions that also tells the way, see `envs.hierarchy.Hierarchy`."""
 
     @property
@@ -70,7 +70,7 @@ class Step(struct.PyTreeNode):
 
 @dataclasses.dataclass(frozen=True)
 class Rollout:
-    """All episodes of one system in one maze.
+    """All episodes of one agent in one maze.
 
     Attributes:
       episodes: their numbers.
@@ -141,7 +141,7 @@ class Runner:
     High levels that differ in their parameters alone share what is compiled.
     """
 
-    def __init__(self, env: Traced, plan: Plan):
+    def __init__(self, env: Recordable, plan: Plan):
         """Compiles nothing yet.
 
         Args:
@@ -234,7 +234,7 @@ class _Loop:
 
     def __init__(
         self,
-        env: Traced,
+        env: Recordable,
         plan: Plan,
         high_policy: HighPolicy,
         programs: _Programs,
@@ -309,7 +309,7 @@ def _streams(
     return keys[:, 0], keys[:, 1]
 
 
-def _bins(env: Traced) -> tuple[int, int]:
+def _bins(env: Recordable) -> tuple[int, int]:
     """Returns the number of bins along and across the mazes."""
     _, rows, columns = env.table.mazes.wall.shape
     return rows * BINS_PER_CELL, columns * BINS_PER_CELL
@@ -341,7 +341,7 @@ def _columns(states: base.EnvState, num: int) -> dict[str, np.ndarray]:
 
 
 def _recording(
-    env: Traced, plan: Plan, states: base.EnvState, history: list[Step], row: int, i: int
+    env: Recordable, plan: Plan, states: base.EnvState, history: list[Step], row: int, i: int
 ) -> recording_lib.Recording:
     """Puts together the recording of one episode: `row` of the batch, `i` of those recorded."""
     nav = jax.tree.map(lambda leaf: leaf[row], states.inner.nav)

@@ -11,7 +11,7 @@ import rich.console
 import rich.measure
 import rich.table
 
-from eihrl_jax.config.evaluate import RANDOM
+from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.envs import subgoals
 from eihrl_jax.evaluation import paper, results, statistics
 
@@ -65,11 +65,11 @@ def spread(over: statistics.RunSpread) -> str:
     return f"{100 * over.mean:.1f} ± {100 * over.std:.1f}"
 
 
-def _by_system(cells: Sequence[results.Cell]) -> list[Table]:
-    """Returns one general table for each system."""
+def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
+    """Returns one general table for each agent."""
     header = ["maze", "success %", "95 %", "return", "decisions", "falls", "episodes"]
     found = []
-    for system in dict.fromkeys(cell.system for cell in cells):
+    for agent in dict.fromkeys(cell.agent for cell in cells):
         rows = [
             [
                 cell.maze,
@@ -77,46 +77,46 @@ def _by_system(cells: Sequence[results.Cell]) -> list[Table]:
                 interval(cell.success),
                 f"{cell.return_mean:.2f}",
                 f"{cell.decisions_mean:.1f} / {cell.num_decisions}",
-                str(cell.num_falls) if system.movement == "full" else "-",
+                str(cell.num_falls) if agent.movement == "full" else "-",
                 str(cell.num_episodes),
             ]
             for cell in cells
-            if cell.system == system
+            if cell.agent == agent
         ]
-        found.append(Table(_title(system), header, rows))
+        found.append(Table(_title(agent), header, rows))
     return found
 
 
-def _title(system: results.System) -> str:
-    """Describes a system."""
-    if _is_baseline(system):
-        return f"{system.robot}, walking, {system.high}"
-    moves = "oracle movement" if system.low is None else f"walking with low level {system.low}"
-    return f"{system.robot}, {moves}, high level {system.high}"
+def _title(agent: results.Agent) -> str:
+    """Describes an agent."""
+    if _is_baseline(agent):
+        return f"{agent.robot}, walking, {agent.high}"
+    moves = "oracle movement" if agent.low is None else f"walking with low level {agent.low}"
+    return f"{agent.robot}, {moves}, high level {agent.high}"
 
 
-def _is_baseline(system: results.System) -> bool:
-    """Tells whether a system is both levels in one, which walks without another low level."""
-    return system.movement == "full" and system.low is None
+def _is_baseline(agent: results.Agent) -> bool:
+    """Returns whether an agent is both levels in one, which needs no other low level."""
+    return agent.movement == "full" and agent.low is None
 
 
 def _table1(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns the paper's Table 1 for each high level, the paper's figures below ours."""
     found = []
-    for high in dict.fromkeys(cell.system.high for cell in cells):
-        here = [c for c in cells if c.system.high == high and c.maze in TABLE1_MAZES]
+    for high in dict.fromkeys(cell.agent.high for cell in cells):
+        here = [c for c in cells if c.agent.high == high and c.maze in TABLE1_MAZES]
         mazes = [name for name in TABLE1_MAZES if any(cell.maze == name for cell in here)]
         rows = []
-        for system in dict.fromkeys(cell.system for cell in here):
-            by_maze = {cell.maze: cell.success for cell in here if cell.system == system}
-            label = f"{system.robot}, {_MOVEMENT_NAMES[system.movement]}"
+        for agent in dict.fromkeys(cell.agent for cell in here):
+            by_maze = {cell.maze: cell.success for cell in here if cell.agent == agent}
+            label = f"{agent.robot}, {_MOVEMENT_NAMES[agent.movement]}"
             rows.append([label, *(percent(by_maze[m]) if m in by_maze else "-" for m in mazes)])
             bounds = {m: interval(success) for m, success in by_maze.items()}
             rows.append(["  95 % interval", *(bounds.get(m, "-") for m in mazes)])
-            if system.robot == "ant" and high != RANDOM and not _is_baseline(system):
-                figures = paper.TABLE1[system.movement]
+            if agent.robot == "ant" and high != evaluate_config.UNIFORM and not _is_baseline(agent):
+                figures = paper.TABLE1[agent.movement]
                 published = [paper.percent(figures[m]) for m in mazes]
-                rows.append([f"  paper, {paper.NAMES[system.movement]}", *published])
+                rows.append([f"  paper, {paper.NAMES[agent.movement]}", *published])
         if rows:
             header = ["success %", *(TABLE1_MAZES[name] for name in mazes)]
             found.append(Table(f"Table 1, high level {high}", header, rows))
@@ -129,7 +129,7 @@ def over_runs(
     """Summarises learned high levels over training runs, by name, maze, robot and movement.
 
     Args:
-      cells: results of systems; high levels whose names differ by a number at the end alone, such
+      cells: results of agents; high levels whose names differ by a number at the end alone, such
         as `best-u-0` and `best-u-1`, are taken as trained alike from different seeds.
 
     Returns:
@@ -137,9 +137,9 @@ def over_runs(
     """
     groups: dict[tuple[str, str, str, str], list[float]] = {}
     for cell in cells:
-        if cell.system.high != RANDOM:
-            name = re.sub(r"\d+$", "*", cell.system.high)
-            key = (name, cell.maze, cell.system.robot, cell.system.movement)
+        if cell.agent.high != evaluate_config.UNIFORM:
+            name = re.sub(r"\d+$", "*", cell.agent.high)
+            key = (name, cell.maze, cell.agent.robot, cell.agent.movement)
             groups.setdefault(key, []).append(cell.success.rate)
     return {
         key: statistics.over_runs(np.array(rates))
@@ -160,7 +160,7 @@ def _over_runs(cells: Sequence[results.Cell]) -> list[Table]:
 
 def _tables(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns all tables for which there is something to show."""
-    return [*_by_system(cells), *_table1(cells), *_over_runs(cells)]
+    return [*_by_agent(cells), *_table1(cells), *_over_runs(cells)]
 
 
 def terminal(cells: Sequence[results.Cell]) -> list[rich.table.Table]:

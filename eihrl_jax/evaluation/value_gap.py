@@ -13,7 +13,7 @@ from jaxtyping import Float
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import value_gap as gap_config
 from eihrl_jax.envs import postures, subgoals
-from eihrl_jax.evaluation import rollouts, systems
+from eihrl_jax.evaluation import loading, rollouts
 from eihrl_jax.physics import engines
 from eihrl_jax.runs import policies
 from eihrl_jax.runs import progress as progress_lib
@@ -70,7 +70,7 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
     for name, maze in chosen.items():
         if int(maze.num_goals) != 1:
             raise base.UserError(f"mazes: {name!r} has {int(maze.num_goals)} goals, must have 1")
-    high = systems.load_high(options.high)
+    high = loading.load_high(options.high)
     stacked = mazes.stack(list(chosen.values()))
     walkers = {name: (_walking(stacked, high, name), shipped_law(name)) for name in options.robots}
 
@@ -111,24 +111,24 @@ def _oracle_law(sigma: float) -> displacement.Displacement:
     return displacement.Displacement.of(base.CELL, max(sigma, 1e-12))
 
 
-def _oracle(stacked: mazes.Maze, high: systems.HighLevel, sigma: float) -> rollouts.Traced:
+def _oracle(stacked: mazes.Maze, high: loading.HighLevel, sigma: float) -> rollouts.Recordable:
     """Returns oracle movement with one noise level."""
     robot = robots.load(ORACLE_ROBOT)
     walking = subgoals.Walking(base.CELL, sigma, postures.for_robot(robot))
-    return systems.oracle(robot, stacked, high.view, walking=walking)
+    return loading.oracle_env(robot, stacked, high.view, walking=walking)
 
 
-def _walking(stacked: mazes.Maze, high: systems.HighLevel, name: str) -> rollouts.Traced:
+def _walking(stacked: mazes.Maze, high: loading.HighLevel, name: str) -> rollouts.Recordable:
     """Returns a robot that walks with its shipped low level."""
     robot = robots.load(name)
     engine = engines.make(robot, "mujoco")
-    return systems.full(engine, stacked, high.view, systems.load_low(name, robot))
+    return loading.full_env(engine, stacked, high.view, loading.load_low(name, robot))
 
 
 def _values(
     options: gap_config.ValueGapConfig,
-    env: rollouts.Traced,
-    high: systems.HighLevel,
+    env: rollouts.Recordable,
+    high: loading.HighLevel,
     chosen: dict[str, mazes.Maze],
     num_episodes: int,
     title: str,

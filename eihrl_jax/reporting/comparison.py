@@ -39,7 +39,7 @@ def select(
     return [
         cell
         for cell in cells
-        if cell.system.movement == movement and robot in (None, cell.system.robot)
+        if cell.agent.movement == movement and robot in (None, cell.agent.robot)
     ]
 
 
@@ -62,7 +62,7 @@ def success_by_robot(title: str, rows: Sequence[Row], robots: Sequence[str]) -> 
         [
             row.label,
             *(
-                _entry(row, robot, [c for c in row.cells if c.system.robot == robot])
+                _entry(row, robot, [c for c in row.cells if c.agent.robot == robot])
                 for robot in robots
             ),
         ]
@@ -93,11 +93,11 @@ def failures(title: str, rows: Sequence[Row]) -> tables.Table:
 def mean(cells: Sequence[results.Cell]) -> str:
     """Writes the mean success of some results, and its deviation over their high levels.
 
-    Where there is one high level, "random" or learned, nothing is known about the deviation.
+    Where there is one high level, uniform or learned, nothing is known about the deviation.
     """
     by_high: dict[str, list[float]] = {}
     for cell in cells:
-        by_high.setdefault(cell.system.high, []).append(cell.success.rate)
+        by_high.setdefault(cell.agent.high, []).append(cell.success.rate)
     if not by_high:
         return "-"
     rates = np.array([np.mean(rates) for rates in by_high.values()])

@@ -3,11 +3,11 @@
     eval.json                    see `results.Evaluation`
     tables.md                    the tables of the terminal
     episodes.csv                 one row per episode
-    <system>-<maze>-heatmap.png  visited positions (paper, Figure 7)
-    <system>-heatmaps.png        all mazes on one scale
-    <system>-<maze>.gif          an episode
+    <agent>-<maze>-heatmap.png  visited positions (paper, Figure 7)
+    <agent>-heatmaps.png        all mazes on one scale
+    <agent>-<maze>.gif          an episode
 
-A system is called by its robot, movement and high level, e.g. `ant-full-random`.
+An agent is called by its robot, movement and high level, e.g. `ant-full-uniform`.
 """
 
 import csv
@@ -49,7 +49,7 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
         seconds: dict[str, float] = {}
         for evaluated in evaluation_lib.run(options):
             cells += evaluated.cells()
-            seconds[evaluated.system.file_name] = round(evaluated.seconds, 2)
+            seconds[evaluated.agent.file_name] = round(evaluated.seconds, 2)
             _write(evaluated, options)
 
         about = {
@@ -63,22 +63,22 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
 
 
 def _write(evaluated: evaluation_lib.Evaluated, options: evaluate_config.EvaluateConfig) -> None:
-    """Writes the episodes of one system, and draws what the options ask for."""
-    system, found = evaluated.system, evaluated.rollouts
-    write_episodes(options.out, system, found, evaluated.mazes)
+    """Writes the episodes of one agent, and draws what the options ask for."""
+    agent, found = evaluated.agent, evaluated.rollouts
+    write_episodes(options.out, agent, found, evaluated.mazes)
     if options.heatmaps:
-        draw_heatmaps(options.out, system, found, evaluated.mazes)
+        draw_heatmaps(options.out, agent, found, evaluated.mazes)
     if options.animate == "all" or (options.animate == "one" and evaluated.is_last):
         names = list(found) if options.animate == "all" else list(found)[:1]
         for name in names:
-            animate(options.out, system, evaluated.robot, found[name], name)
+            animate(options.out, agent, evaluated.robot, found[name], name)
 
 
-def title(system: results.System, maze: str) -> str:
-    """Returns how pictures call a system in a maze."""
+def title(agent: results.Agent, maze: str) -> str:
+    """Returns how pictures call an agent in a maze."""
     name = tables.TABLE1_MAZES.get(maze, maze)
-    moves = "walking" if system.movement == "full" else "oracle movement"
-    return f"{name} · {system.robot}, {moves}"
+    moves = "walking" if agent.movement == "full" else "oracle movement"
+    return f"{name} · {agent.robot}, {moves}"
 
 
 def write_results(out: pathlib.Path, evaluation: results.Evaluation) -> None:
@@ -89,11 +89,11 @@ def write_results(out: pathlib.Path, evaluation: results.Evaluation) -> None:
 
 def write_episodes(
     out: pathlib.Path,
-    system: results.System,
+    agent: results.Agent,
     found: dict[str, rollouts.Rollout],
     chosen: dict[str, mazes.Maze],
 ) -> None:
-    """Appends the episodes of one system to `episodes.csv`."""
+    """Appends the episodes of one agent to `episodes.csv`."""
     path = out / "episodes.csv"
     is_new = not path.exists()
     with path.open("a", newline="") as file:
@@ -106,7 +106,7 @@ def write_episodes(
             numbers = {seed: 0 for seed in episodes.seed.tolist()}
             for i, outcome in enumerate(outcomes):
                 seed = int(episodes.seed[i])
-                row = [system.robot, system.movement, system.high, system.low or ""]
+                row = [agent.robot, agent.movement, agent.high, agent.low or ""]
                 row += [maze, seed, numbers[seed], int(episodes.achieved[i]), num_goals]
                 row += [float(episodes.returns[i]), int(episodes.decisions[i])]
                 writer.writerow([*row, int(episodes.has_fallen[i]), outcome])
@@ -115,32 +115,32 @@ def write_episodes(
 
 def draw_heatmaps(
     out: pathlib.Path,
-    system: results.System,
+    agent: results.Agent,
     found: dict[str, rollouts.Rollout],
     chosen: dict[str, mazes.Maze],
 ) -> None:
-    """Draws where one system has been: one picture per maze, and one of all."""
+    """Draws where one agent has been: one picture per maze, and one of all."""
     visits = [
-        heatmap.Visits(title(system, name), chosen[name], rollout.share)
+        heatmap.Visits(title(agent, name), chosen[name], rollout.share)
         for name, rollout in found.items()
     ]
     for name, item in zip(found, visits, strict=True):
-        heatmap.save(out / f"{system.file_name}-{name}-heatmap.png", item)
+        heatmap.save(out / f"{agent.file_name}-{name}-heatmap.png", item)
     if len(visits) > 1:
-        heatmap.save_together(out / f"{system.file_name}-heatmaps.png", visits)
+        heatmap.save_together(out / f"{agent.file_name}-heatmaps.png", visits)
 
 
 def animate(
     out: pathlib.Path,
-    system: results.System,
+    agent: results.Agent,
     robot: robot_lib.Robot,
     rollout: rollouts.Rollout,
     maze: str,
 ) -> None:
-    """Animates a typical episode of one system in one maze."""
+    """Animates a typical episode of one agent in one maze."""
     capsules = kinematics.capsules(scene.build(robot))
     animation.save(
-        out / f"{system.file_name}-{maze}.gif",
+        out / f"{agent.file_name}-{maze}.gif",
         typical(rollout),
         capsules,
         title=tables.TABLE1_MAZES.get(maze, maze),

@@ -96,7 +96,7 @@ def table1(runs: Runs) -> page.Section:
         preset: runs.evaluate(f"table1-{preset}", highs, mazes=TABLE1)
         for preset, highs, _ in _trained_for_others(runs)
     }
-    evaluated[RAND_H] = runs.evaluate("table1-random", ("random",), mazes=TABLE1)
+    evaluated[RAND_H] = runs.evaluate("table1-random", (evaluate_config.UNIFORM,), mazes=TABLE1)
     evaluated["HIGL"] = runs.higl("table1-higl", "random", TABLE1)
     rows = [
         comparison.Row("paper, oracle", published=paper.TABLE1["oracle"]),

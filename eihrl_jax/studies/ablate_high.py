@@ -166,7 +166,7 @@ def _options(config: AblationConfig, name: str, seed: int) -> high_config.HighCo
 
 def _evaluation(config: AblationConfig, name: str) -> evaluate_config.EvaluateConfig:
     """Returns the options with which what was trained alike is evaluated."""
-    highs = (evaluate_config.RANDOM,)
+    highs = (evaluate_config.UNIFORM,)
     if name != sections.RAND_H:
         highs = tuple(str(_options(config, name, seed).run) for seed in config.seeds)
     return evaluate_config.EvaluateConfig(

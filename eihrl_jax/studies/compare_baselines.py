@@ -14,7 +14,7 @@ from eihrl_jax.config import hess as hess_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import higl as higl_config
 from eihrl_jax.envs import hierarchy
-from eihrl_jax.evaluation import systems
+from eihrl_jax.evaluation import loading
 from eihrl_jax.physics import engines
 from eihrl_jax.reporting import cached_runs
 from eihrl_jax.training import baselines, high
@@ -131,7 +131,7 @@ def random_options(config: CompareConfig, run: Run) -> evaluate_config.EvaluateC
     return evaluate_config.EvaluateConfig(
         mazes=(run.maze,),
         movement=("full",),
-        high=(evaluate_config.RANDOM,),
+        high=(evaluate_config.UNIFORM,),
         reward=run.reward,
         episodes=_RANDOM_EPISODES,
         seeds=(run.seed,),
@@ -169,9 +169,9 @@ def _walking(options: high_config.HighConfig) -> hierarchy.Hierarchy:
     """Returns the same task with a robot that walks, driven by its shipped low level."""
     task, robot = options.task, robots.load(options.task.robot)
     moved = high.make_env(task, options.seed)
-    low_policy = systems.load_low(task.robot, robot)
+    low_policy = loading.load_low(task.robot, robot)
     engine = engines.make(robot, "mujoco")
-    return systems.full(engine, moved.table.mazes, moved.view, low_policy, reward=task.reward)
+    return loading.full_env(engine, moved.table.mazes, moved.view, low_policy, reward=task.reward)
 
 
 def _in_rows(

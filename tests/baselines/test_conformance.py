@@ -158,17 +158,17 @@ def test_a_baseline_is_evaluated_beside_ours(finished, maze, tmp_path):
         mazes=(maze,),
         robot=("point",),
         movement=("oracle", "full"),
-        high=("random", str(finished.run)),
+        high=("uniform", str(finished.run)),
         episodes=3,
         out=tmp_path / "evaluation",
         num_decisions=2,
     )
     cells = evaluations.evaluate(options).cells
-    found = [(cell.system.movement, cell.system.high) for cell in cells]
+    found = [(cell.agent.movement, cell.agent.high) for cell in cells]
     peer = ("full", str(finished.run))
     assert found.count(peer) == 1 and len(found) == 3
     cell = cells[found.index(peer)]
-    assert cell.system.low is None and cell.num_episodes == 3
+    assert cell.agent.low is None and cell.num_episodes == 3
     assert list((tmp_path / "evaluation").glob("*.gif"))
 
 

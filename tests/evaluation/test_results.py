@@ -7,7 +7,7 @@ import pytest
 from eihrl_jax import base
 from eihrl_jax.evaluation import results, tables
 
-ANT = results.System(robot="ant", movement="full", high="runs/one", low="ant")
+ANT = results.Agent(robot="ant", movement="full", high="runs/one", low="ant")
 
 
 def episodes(achieved, fallen, unstable, seed=None):
@@ -22,10 +22,10 @@ def episodes(achieved, fallen, unstable, seed=None):
     )
 
 
-def cell(maze="g1", system=ANT, achieved=(1, 1, 1, 0, 0)):
+def cell(maze="g1", agent=ANT, achieved=(1, 1, 1, 0, 0)):
     none = [False] * len(achieved)
     return results.summarise(
-        maze, system, episodes(achieved, none, none), num_goals=1, num_decisions=24
+        maze, agent, episodes(achieved, none, none), num_goals=1, num_decisions=24
     )
 
 
@@ -56,11 +56,11 @@ def test_eval_json_round_trip(tmp_path):
     results.save(path, evaluation)
     assert results.load(path) == evaluation
     content = json.loads(path.read_text())
-    assert content["format"] == 1
+    assert content["format"] == 2
     assert content["cells"][0]["success"]["rate"] == 0.6
 
 
-@pytest.mark.parametrize("text", ["no json", "[]", '{"cells": 3}', '{"format": 2, "cells": []}'])
+@pytest.mark.parametrize("text", ["no json", "[]", '{"cells": 3}', '{"format": 3, "cells": []}'])
 def test_other_files_are_refused(tmp_path, text):
     path = tmp_path / "eval.json"
     path.write_text(text)
@@ -80,8 +80,8 @@ def test_table1_stands_beside_the_papers_figures():
     assert all(len(line) < 100 for line in text.splitlines()[2:])
 
 
-def test_random_high_level_has_no_figure_in_the_paper():
-    text = tables.markdown([cell("g1", dataclasses.replace(ANT, high="random"))])
+def test_uniform_high_level_has_no_figure_in_the_paper():
+    text = tables.markdown([cell("g1", dataclasses.replace(ANT, high="uniform"))])
     assert "45.6" not in text
 
 
@@ -98,7 +98,7 @@ def test_runs_trained_alike_are_summarised_together():
         cell("g2", dataclasses.replace(ANT, high=f"runs/{i}"), achieved)
         for i, achieved in enumerate([(1, 1), (1, 0), (0, 0)])
     ]
-    others = ("random", "runs/higl", "other/0")
+    others = ("uniform", "runs/higl", "other/0")
     cells += [cell("g2", dataclasses.replace(ANT, high=high), (0, 0)) for high in others]
     ((key, spread),) = tables.over_runs(cells).items()
     assert key == ("runs/*", "g2", "ant", "full")

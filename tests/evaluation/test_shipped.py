@@ -4,19 +4,19 @@ import pytest
 
 from eihrl_jax import robots
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.evaluation import systems
+from eihrl_jax.evaluation import loading
 from eihrl_jax.reporting import evaluations
 from eihrl_jax.runs import policies
 
 
 @pytest.mark.parametrize("name", policies.shipped("high"))
 def test_high_levels_load(name):
-    assert callable(systems.load_high(name).policy)
+    assert callable(loading.load_high(name).policy)
 
 
 @pytest.mark.parametrize("name", policies.shipped("low"))
 def test_low_levels_load(name):
-    assert callable(systems.load_low(name, robots.load(name)))
+    assert callable(loading.load_low(name, robots.load(name)))
 
 
 @pytest.mark.parametrize("name", policies.shipped("baseline"))

@@ -26,7 +26,7 @@ walking/return
 """
 RANDOM = results.Cell(
     maze="u",
-    system=results.System(robot="ant", movement="full", high="random", low="ant"),
+    agent=results.Agent(robot="ant", movement="full", high="uniform", low="ant"),
     seeds=(0,),
     num_episodes=10,
     num_goals=1,

@@ -11,8 +11,9 @@ from PIL import Image
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import locomotion, low_obs, raster, subgoals
-from eihrl_jax.evaluation import results, rollouts, systems
+from eihrl_jax.evaluation import loading, results, rollouts
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engines
 from eihrl_jax.reporting import evaluations
@@ -37,7 +38,7 @@ def folder(tmp_path_factory):
     engine = engines.make(robot)
     physics = locomotion.draw_pose(engine, jnp.zeros(2), jax.random.key(0))
     obs = low_obs.observe(physics, jnp.zeros(2), jnp.int32(1), jnp.int32(0), robot)
-    num_features = len(low_obs.features(obs, robot, systems.low_config.LowInput()))
+    num_features = len(low_obs.features(obs, robot, low_config.LowInput()))
     actor = droq.Actor(engine.model.nu, (4,))
     params = actor.init(jax.random.key(1), jnp.zeros((1, num_features)))["params"]
     meta = {
@@ -71,8 +72,8 @@ def evaluation(options):
     return evaluations.evaluate(options)
 
 
-def test_every_system_is_evaluated_in_every_maze(evaluation, folder):
-    found = [(cell.maze, cell.system.movement, cell.system.high) for cell in evaluation.cells]
+def test_every_agent_is_evaluated_in_every_maze(evaluation, folder):
+    found = [(cell.maze, cell.agent.movement, cell.agent.high) for cell in evaluation.cells]
     high = str(folder / "high")
     assert found == [
         (maze, movement, high) for movement in ("oracle", "full") for maze in ("random", "own")
@@ -94,7 +95,7 @@ def test_files_tell_the_same(evaluation, options):
         rows = list(csv.DictReader(file))
     assert len(rows) == 8 * 4
     for cell in evaluation.cells:
-        place = (cell.maze, cell.system.movement)
+        place = (cell.maze, cell.agent.movement)
         mine = [row for row in rows if (row["maze"], row["movement"]) == place]
         achieved = np.array([int(row["achieved"]) for row in mine])
         assert achieved.mean() / cell.num_goals == cell.success.rate
@@ -129,11 +130,11 @@ def random_walk(num_episodes, *, seeds=(0,), num_recorded=0):
     view = raster.View()
     robot = robots.load("point")
     walking = subgoals.walking(robot, None, 3.0, 0.0)
-    env = systems.oracle(robot, mazes.stack(list(chosen.values())), view, walking=walking)
+    env = loading.oracle_env(robot, mazes.stack(list(chosen.values())), view, walking=walking)
     plan = rollouts.Plan(
         mazes=chosen, seeds=seeds, num_episodes=num_episodes, num_recorded=num_recorded
     )
-    high = systems.load_high("random")
+    high = loading.load_high("uniform")
     with progress.Progress("walk", plan.num_decisions) as bar:
         return rollouts.Runner(env, plan).run(high.policy, bar)[0]["random"]
 
@@ -143,7 +144,7 @@ def test_random_walk_succeeds_as_often_as_on_the_grid():
     episodes = random_walk(1500).episodes
     found = results.summarise(
         "random",
-        results.System(robot="point", movement="oracle", high="random", low=None),
+        results.Agent(robot="point", movement="oracle", high="uniform", low=None),
         episodes,
         num_goals=1,
         num_decisions=24,
@@ -166,9 +167,9 @@ def test_batches_change_nothing(monkeypatch):
 
 def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, monkeypatch):
     robot, chosen = robots.load("point"), {"u": mazes.load("u", num_decisions=2)}
-    high = systems.load_high(str(folder / "high"))
+    high = loading.load_high(str(folder / "high"))
     walking = subgoals.walking(robot, None, 3.0, 0.0)
-    env = systems.oracle(robot, mazes.stack(list(chosen.values())), high.view, walking=walking)
+    env = loading.oracle_env(robot, mazes.stack(list(chosen.values())), high.view, walking=walking)
     plan = rollouts.Plan(mazes=chosen, seeds=(0,), num_episodes=3, num_recorded=1)
     runner = rollouts.Runner(env, plan)
     compiled = []
@@ -189,7 +190,7 @@ def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, m
         policy = jax.tree_util.Partial(high.policy.func, {"params": layers})
         assert directions(policy) == [direction] * 2
     assert len(compiled) == 1
-    directions(systems.load_high(str(folder / "high"), greedy=True).policy)
+    directions(loading.load_high(str(folder / "high"), greedy=True).policy)
     assert len(compiled) == 2
 
 
@@ -248,7 +249,7 @@ def test_unknown_things_are_refused_before_anything_is_written(options, tmp_path
     assert not changed.out.exists()
 
 
-def test_systems_whose_files_would_have_the_same_name_are_refused(options, folder, tmp_path):
+def test_agents_whose_files_would_have_the_same_name_are_refused(options, folder, tmp_path):
     shutil.copytree(folder / "high", tmp_path / "other" / "high")
     both = (str(folder / "high"), str(tmp_path / "other" / "high"))
     changed = dataclasses.replace(options, out=tmp_path / "out", high=both)
@@ -273,8 +274,8 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path):
 
 def test_policies_that_do_not_fit_are_refused(folder):
     with pytest.raises(base.UserError, match="expected 'ant'"):
-        systems.load_low(str(folder / "low"), robots.load("ant"))
+        loading.load_low(str(folder / "low"), robots.load("ant"))
     with pytest.raises(base.UserError, match=r"holds another network or state: .* expected"):
-        systems.load_low(str(folder / "wrong"), robots.load("point"))
+        loading.load_low(str(folder / "wrong"), robots.load("point"))
     with pytest.raises(base.UserError, match="expected a high-level"):
-        systems.load_high(str(folder / "low"))
+        loading.load_high(str(folder / "low"))

@@ -10,10 +10,10 @@ from PIL import Image
 from eihrl_jax.evaluation import results, tables
 from eihrl_jax.reporting import comparison, page
 
-ANT = results.System(robot="ant", movement="oracle", high="0", low=None)
+ANT = results.Agent(robot="ant", movement="oracle", high="0", low=None)
 
 
-def cell(maze, achieved, **system):
+def cell(maze, achieved, **agent):
     num = len(achieved)
     episodes = results.Episodes(
         achieved=np.array(achieved),
@@ -23,8 +23,8 @@ def cell(maze, achieved, **system):
         is_unstable=np.zeros(num, bool),
         seed=np.zeros(num, int),
     )
-    system = dataclasses.replace(ANT, **system)
-    return results.summarise(maze, system, episodes, num_goals=1, num_decisions=24)
+    agent = dataclasses.replace(ANT, **agent)
+    return results.summarise(maze, agent, episodes, num_goals=1, num_decisions=24)
 
 
 CELLS = [

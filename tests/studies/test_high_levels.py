@@ -104,7 +104,7 @@ def test_what_a_killed_evaluation_left_is_begun_anew(tmp_path):
         mazes=("u",),
         robot=("point",),
         movement=("oracle",),
-        high=("random",),
+        high=("uniform",),
         episodes=2,
         animate="none",
         out=tmp_path / "u",

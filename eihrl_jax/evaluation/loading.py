@@ -1,4 +1,4 @@
-"""Puts together what is evaluated: policies from their folders, environments around them."""
+"""Levels from their folders, and the environments in which they are evaluated together."""
 
 import dataclasses
 import json
@@ -48,7 +48,7 @@ class HighLevel:
 
 
 @dataclasses.dataclass(frozen=True)
-class TracedOracle:
+class RecordableOracle:
     """Oracle movement, which tells a straight way and the posture that it shows at its end.
 
     Attributes:
@@ -91,14 +91,15 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
     """Loads a high level.
 
     Args:
-      name: run folder, policy folder or shipped name; "random" for uniform directions.
+      name: run folder, policy folder or shipped name; "uniform" for uniform directions.
       greedy: take the most likely direction instead of a sample.
 
     Raises:
       base.UserError: there is none, or it is damaged.
     """
-    if name == evaluate_config.RANDOM:
-        return HighLevel(name, jax.tree_util.Partial(_random_direction), raster.View())
+    if name in evaluate_config.UNIFORM_NAMES:
+        policy = jax.tree_util.Partial(_uniform_direction)
+        return HighLevel(evaluate_config.UNIFORM, policy, raster.View())
     path = policies.find(name, "high")
     params, meta = policies.load(path, kind="high")
     view = raster.View(**policies.entry(meta, "view", path))
@@ -157,14 +158,14 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
     return policy
 
 
-def oracle(
+def oracle_env(
     robot: robot_lib.Robot,
     stacked: mazes.Maze,
     view: raster.View,
     *,
     walking: subgoals.Walking,
     reward: base.Reward = "sparse",
-) -> TracedOracle:
+) -> RecordableOracle:
     """Returns oracle movement in several mazes.
 
     Args:
@@ -187,10 +188,10 @@ def oracle(
         movement=movement,
         reward=reward,
     )
-    return TracedOracle(env, walking.bank.qpos)
+    return RecordableOracle(env, walking.bank.qpos)
 
 
-def full(
+def full_env(
     engine: engine_lib.Engine,
     stacked: mazes.Maze,
     view: raster.View,
@@ -203,7 +204,7 @@ def full(
     return hierarchy.Hierarchy(env, low_policy)
 
 
-def _random_direction(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
+def _uniform_direction(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
     """Chooses any direction, whatever it sees."""
     del obs
     return jax.random.randint(key, (), 0, base.NUM_DIRECTIONS)
