@@ -1,11 +1,12 @@
 import dataclasses
 import json
+import pathlib
 
 import numpy as np
 import pytest
 
 from eihrl_jax import base
-from eihrl_jax.evaluation import results, tables
+from eihrl_jax.evaluation import loading, results, tables
 
 ANT = results.Agent(robot="ant", movement="full", high="runs/one", low="ant")
 
@@ -58,6 +59,26 @@ def test_eval_json_round_trip(tmp_path):
     content = json.loads(path.read_text())
     assert content["format"] == 2
     assert content["cells"][0]["success"]["rate"] == 0.6
+
+
+def test_files_of_the_first_format_are_read_in_todays_words():
+    root = pathlib.Path(__file__).parents[2]
+    paths = sorted(root.glob("*/*/rand_h-random-?/eval.json"))
+    assert len(paths) == 6
+    for path in paths:
+        assert json.loads(path.read_text())["format"] == 1
+        evaluation = results.load(path)
+        assert evaluation.about["config"]["high"] == ["uniform"]
+        assert evaluation.about["versions"]["system"] == "Linux x86_64"
+        (cell,) = evaluation.cells
+        agent = dataclasses.replace(ANT, high="uniform")
+        assert (cell.agent, cell.num_episodes) == (agent, 500)
+        assert 0.05 < cell.success.rate < 0.1
+
+
+def test_uniform_directions_are_still_understood_by_their_older_name():
+    for name in ("uniform", "random"):
+        assert loading.load_high(name).label == "uniform"
 
 
 @pytest.mark.parametrize("text", ["no json", "[]", '{"cells": 3}', '{"format": 3, "cells": []}'])
