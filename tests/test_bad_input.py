@@ -59,13 +59,22 @@ MISTAKES = [
     ("evaluate --high {tmp}/walker", ["{tmp}/walker", "low-level", "high-level"]),
     ("evaluate --high random --low {tmp}/walker", ["{tmp}/walker", "'point'", "'ant'"]),
     ("evaluate --high random --out {tmp}/old", ["{tmp}/old"]),
-    ("compare_peers --methods dqn", ["methods = 'dqn'", "rand_h", "hess"]),
-    ("compare_peers --methods hess --mazes spiral --num-steps 9000", ["num_steps = 9000", "hess"]),
-    ("compare_peers --methods ours --out {tmp}/peers", ["peers/ours-random-0", "config.json"]),
+    ("compare_baselines --methods dqn", ["methods = 'dqn'", "rand_h", "hess"]),
+    (
+        "compare_baselines --methods hess --mazes spiral --num-steps 9000",
+        ["num_steps = 9000", "hess"],
+    ),
+    (
+        "compare_baselines --methods ours --out {tmp}/baselines",
+        ["baselines/ours-random-0", "config.json"],
+    ),
     ("small_maze --methods droq", ["methods = 'droq'", "hiro, hrac, higl, hess"]),
     ("small_maze --out {tmp}/closed.txt", ["{tmp}/closed.txt"]),
-    ("report --parts peers", ["--peers"]),
-    ("report --parts peers --peers {tmp}/old", ["{tmp}/old", "<method>-<maze>-<seed>"]),
+    ("report --parts baselines", ["--baselines"]),
+    ("report --parts baselines --baselines {tmp}/old", ["{tmp}/old", "<method>-<maze>-<seed>"]),
+    # Earlier spellings.
+    ("compare_peers --methods dqn", ["methods = 'dqn'", "rand_h", "hess"]),
+    ("report --parts peers --peers {tmp}/old", ["baselines = {tmp}/old"]),
     ("reproduce_higl --method hess", ["--method", "hess"]),
     ("reproduce_higl --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
 ]
@@ -89,7 +98,7 @@ def place(tmp_path):
         (tmp_path / f"{name}.txt").write_text(text)
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "config.json").write_text("{}")
-    run = tmp_path / "peers" / "ours-random-0" / "policy"
+    run = tmp_path / "baselines" / "ours-random-0" / "policy"
     policies.save(run, kind="high", params={}, meta={})
     policies.save(tmp_path / "walker", kind="low", params={}, meta={"robot": "point"})
     policies.save(tmp_path / "truncated", kind="high", params={}, meta={})
@@ -126,7 +135,7 @@ def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     "module",
-    ["train_low", "train_high", "train_baseline", "compare_peers", "evaluate", "kill_resume"],
+    ["train_low", "train_high", "train_baseline", "compare_baselines", "evaluate", "kill_resume"],
 )
 def test_help_names_options_and_defaults(module, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [module, "--help"])

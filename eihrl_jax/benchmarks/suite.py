@@ -22,7 +22,7 @@ Part = Literal[
     "episodes",
     "walking",
     "updates",
-    "peers",
+    "baselines",
 ]
 
 _BATCHES, _CPU_BATCHES = (64, 1024, 8192), (16, 64, 256)
@@ -78,7 +78,7 @@ def _measures(config: BenchmarkConfig) -> dict[str, Callable[[], Any]]:
         "engines": physics.engine_deviations,
         "walking": low.walking_rate,
         "updates": low.updates_per_second,
-        "peers": baselines.higl_rate,
+        "baselines": baselines.higl_rate,
         "episodes": lambda: high.full_episodes_seconds(config.out / "episodes", "best-random-0"),
     }
 
@@ -126,7 +126,7 @@ def _rows(part: str, result: Any) -> list[str]:
             f"{result['ours']:,.0f}; sbx {result['sbx']:,.0f}: {result['ratio']:.2f} times; "
             f"{100 * result['of_limit']:.0f} % of what {result['gflops']:,.0f} GFLOP/s allow |"
         ]
-    if part == "peers":
+    if part == "baselines":
         return [
             "| HIGL with its own settings, learning included | "
             f"{result['rate']:.0f} control steps/s, {result['ratio']:.1f} times the published |"

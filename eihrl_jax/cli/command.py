@@ -18,6 +18,8 @@ class Command(Generic[ConfigT]):
         `config_type`, and has the name as the value of `option`.
       option: what the user chooses a preset with.
       uses_all_cores: whether every core of the CPU is a device of JAX.
+      earlier: today's spelling of what was renamed and is still understood, by the option that it
+        is a value of, "" for an option itself, and the earlier spelling.
     """
 
     main: Callable[[ConfigT], object]
@@ -25,3 +27,4 @@ class Command(Generic[ConfigT]):
     presets: Mapping[str, ConfigT] = dataclasses.field(default_factory=dict)
     option: str = "preset"
     uses_all_cores: bool = False
+    earlier: Mapping[tuple[str, str], str] = dataclasses.field(default_factory=dict)

@@ -12,6 +12,9 @@ from eihrl_jax.cli.command import Command
 
 Make = Callable[[], Command]
 
+EARLIER = {("", "--peers"): "--baselines", ("--parts", "peers"): "baselines"}
+"""Spellings of earlier versions that are still understood."""
+
 
 def train_high() -> Command:
     """Trains a high level with oracle movement."""
@@ -77,7 +80,7 @@ def report() -> Command:
     """Puts everything that the paper reports on one page."""
     from eihrl_jax.reporting import report as report_lib
 
-    return Command(report_lib.main, report_lib.ReportConfig, uses_all_cores=True)
+    return Command(report_lib.main, report_lib.ReportConfig, uses_all_cores=True, earlier=EARLIER)
 
 
 def demo() -> Command:
@@ -104,7 +107,7 @@ def benchmark() -> Command:
     """Measures speeds, and how far the two physics engines part."""
     from eihrl_jax.benchmarks import suite
 
-    return Command(suite.main, suite.BenchmarkConfig, uses_all_cores=True)
+    return Command(suite.main, suite.BenchmarkConfig, uses_all_cores=True, earlier=EARLIER)
 
 
 def train_policies() -> Command:

@@ -44,7 +44,7 @@ def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None
       program: how it was called, for its help text.
     """
     try:
-        config = _parse(command, list(argv), program)
+        config = _parse(command, _in_todays_words(argv, command.earlier), program)
         _set_compilation_cache()
         if command.uses_all_cores:
             parallel.use_cpu_cores()
@@ -64,6 +64,19 @@ def fail(message: str) -> NoReturn:
     """Ends the process with one line about the user's mistake."""
     print(f"error: {message}", file=sys.stderr)
     sys.exit(2)
+
+
+def _in_todays_words(argv: Sequence[str], earlier: Mapping[tuple[str, str], str]) -> list[str]:
+    """Returns the arguments in today's spelling, see `Command.earlier`."""
+    words, option = [], ""
+    for word in argv:
+        if word.startswith("--"):
+            name, equals, value = word.partition("=")
+            option = earlier.get(("", name), name)
+            words.append(option + equals + earlier.get((option, value), value))
+        else:
+            words.append(earlier.get((option, word), word))
+    return words
 
 
 def _parse(command: command_lib.Command[ConfigT], arguments: list[str], program: str) -> ConfigT:

@@ -22,7 +22,7 @@ LINES = {
     "HRAC": ("hrac", "eval"),
     "HIRO": ("hiro", "eval"),
 }
-"""What the pictures show: method of `compare_peers`, and which of its evaluations."""
+"""What the pictures show: method of `compare_baselines`, and which of its evaluations."""
 
 RAND_H = "RAND-H"
 """What the paper calls uniform directions."""
@@ -54,29 +54,30 @@ Curve = Float[np.ndarray, "N 2"]
 
 
 def section(
-    long: Callable[[str], list[pathlib.Path]], peers: pathlib.Path | None, out: pathlib.Path
+    long: Callable[[str], list[pathlib.Path]], folder: pathlib.Path | None, out: pathlib.Path
 ) -> page.Section:
     """Draws success and reward against episodes and control steps, and compares their ends.
 
     Args:
       long: finds the metrics of our high levels trained alike, e.g. "best-u" or "best-u-dense".
-      peers: folder of `compare_peers`, `<method>-<maze>[-dense]-<seed>` each; None: no picture.
+      folder: of the runs of `compare_baselines`, `<method>-<maze>[-dense]-<seed>` each; None: no
+        picture.
       out: folder of the pictures.
 
     Raises:
-      base.UserError: `peers` holds no such run.
+      base.UserError: the folder holds no such run.
     """
     pictures, at_the_end = [], []
-    if peers is not None:
+    if folder is not None:
         for maze, reward in itertools.product(mazes.NAMES, base.REWARDS):
-            pictures += _pictures(long, peers, maze, reward, out)
+            pictures += _pictures(long, folder, maze, reward, out)
         if not pictures:
-            raise base.UserError(f"peers = {peers} holds no <method>-<maze>-<seed>")
+            raise base.UserError(f"baselines = {folder} holds no <method>-<maze>-<seed>")
         ends: dict[tuple[base.Reward, str], dict[str, dict[str, Curve]]] = {
             (reward, y): found
             for reward in base.REWARDS
             for y in reversed(_MEASURES[reward])
-            if (found := _ends(peers, reward, y))
+            if (found := _ends(folder, reward, y))
         }
         at_the_end = [_at_the_end(*task, found) for task, found in ends.items()]
         at_the_end.append(_where_ours_is_reached(ends))
@@ -93,11 +94,11 @@ def section(
     )
 
 
-def _ends(peers: pathlib.Path, reward: base.Reward, y: str) -> dict[str, dict[str, Curve]]:
+def _ends(folder: pathlib.Path, reward: base.Reward, y: str) -> dict[str, dict[str, Curve]]:
     """Returns the last points of all methods' curves, one per seed, by maze and label."""
     found = {}
     for maze in mazes.NAMES:
-        drawn = _at_equal_budgets(peers, cached_runs.task(maze, reward), y, _by_steps)
+        drawn = _at_equal_budgets(folder, cached_runs.task(maze, reward), y, _by_steps)
         if drawn:
             found[maze] = {
                 label: np.stack([line[-1] for line in lines]) for label, lines in drawn.items()
@@ -157,24 +158,24 @@ def _steps(ends: Sequence[float]) -> str:
 
 def _pictures(
     long: Callable[[str], list[pathlib.Path]],
-    peers: pathlib.Path,
+    folder: pathlib.Path,
     maze: str,
     reward: base.Reward,
     out: pathlib.Path,
 ) -> list[page.Picture]:
     """Draws a task against both axes; nothing where no method has learned it."""
     task = cached_runs.task(maze, reward)
-    spent = _at_equal_budgets(peers, task, "success", _by_steps).values()
+    spent = _at_equal_budgets(folder, task, "success", _by_steps).values()
     if not spent:
         return []
     budget = _steps([float(line[-1, 0]) for lines in spent for line in lines])
     pictures = []
     for y, (axis, read) in itertools.product(_MEASURES[reward], _AXES.items()):
-        drawn = _at_equal_budgets(peers, task, y, read)
+        drawn = _at_equal_budgets(folder, task, y, read)
         if files := long(f"best-{task}"):
             drawn[LONG] = [read(file, f"eval/{y}") for file in files]
         label, scale, _ = _UNITS[y]
-        path = out / f"peers-{task}-{y}-{axis.replace(' ', '-')}.png"
+        path = out / f"baselines-{task}-{y}-{axis.replace(' ', '-')}.png"
         out.mkdir(parents=True, exist_ok=True)
         curves.save_spread(
             path,

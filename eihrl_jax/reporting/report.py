@@ -26,7 +26,7 @@ class ReportConfig:
       slow_episodes: the same where swimmer or humanoid walk.
       num_rooms: generated rooms, one episode in each.
       ablations: folders of `ablate_high`, whose results are shown as they are.
-      peers: folder of runs of `compare_peers`, `<method>-<maze>[-dense]-<seed>` each, whose
+      baselines: folder of runs of `compare_baselines`, `<method>-<maze>[-dense]-<seed>` each, whose
         learning is shown beside that of preset `best`.
       out: folder of the results.
     """
@@ -38,7 +38,7 @@ class ReportConfig:
     slow_episodes: int = 100
     num_rooms: int = 1_000
     ablations: tuple[pathlib.Path, ...] = ()
-    peers: pathlib.Path | None = None
+    baselines: pathlib.Path | None = None
     out: pathlib.Path = pathlib.Path("runs/report")
 
     def __post_init__(self) -> None:
@@ -60,12 +60,12 @@ def main(config: ReportConfig) -> None:
         slow_episodes=config.slow_episodes,
         num_rooms=config.num_rooms,
         ablations=config.ablations,
-        peers=config.peers,
+        baselines=config.baselines,
     )
     found = [sections.PARTS[part](runs) for part in config.parts]
     shown = [section for section in found if section.tables or section.pictures]
     if not shown:
-        for part, folders in (("peers", config.peers), ("ablations", config.ablations)):
+        for part, folders in (("baselines", config.baselines), ("ablations", config.ablations)):
             if config.parts == (part,) and not folders:
                 raise base.UserError(f"parts = {part} needs --{part}, a folder of runs")
         raise base.UserError(f"policies = {runs.folder} holds no <preset>-<maze>-<seed>")

@@ -44,7 +44,7 @@ class Runs:
       slow_episodes: the same where swimmer or humanoid walk.
       num_rooms: generated rooms.
       ablations: folders that `ablate_high` made.
-      peers: folder of runs of `train_baseline`, `<method>-<maze>[-dense]-<seed>` each.
+      baselines: folder of runs of `train_baseline`, `<method>-<maze>[-dense]-<seed>` each.
     """
 
     folder: pathlib.Path
@@ -54,7 +54,7 @@ class Runs:
     slow_episodes: int
     num_rooms: int
     ablations: tuple[pathlib.Path, ...] = ()
-    peers: pathlib.Path | None = None
+    baselines: pathlib.Path | None = None
 
     def highs(self, trained: str) -> tuple[str, ...]:
         """Lists the high levels trained alike, e.g. "best-random", one per seed."""
@@ -235,9 +235,9 @@ def learning(runs: Runs) -> page.Section:
     )
 
 
-def peers(runs: Runs) -> page.Section:
+def baselines(runs: Runs) -> page.Section:
     """The baselines' learning beside ours."""
-    return baseline_curves.section(runs.metrics, runs.peers, runs.out)
+    return baseline_curves.section(runs.metrics, runs.baselines, runs.out)
 
 
 def ablations(runs: Runs) -> page.Section:
@@ -272,7 +272,7 @@ PARTS: dict[str, Callable[[Runs], page.Section]] = {
     "table2": table2,
     "more_time": more_time,
     "learning": learning,
-    "peers": peers,
+    "baselines": baselines,
     "ablations": ablations,
 }
 """Parts of the report by name, in their order on the page."""

@@ -1,4 +1,4 @@
-"""Trains ours and the baselines at equal budgets: `python -m experiments.compare_peers`."""
+"""Trains ours and the baselines at equal budgets: `python -m experiments.compare_baselines`."""
 
 import dataclasses
 import functools
@@ -38,7 +38,7 @@ class CompareConfig:
     """Trains each method in each maze for the same number of control steps (Figures 5 and 6).
 
     Runs that the folder already holds are continued or taken as they are;
-    `python -m experiments.report --peers FOLDER` draws them. Settings are the methods' own, but
+    `python -m experiments.report --baselines FOLDER` draws them. Settings are the methods' own, but
     for budgets of up to 300,000 schedules are shortened, see docs/baselines.md. Ours learns
     moved by the oracle, a decision counting as the control steps that it takes to walk it, and is
     evaluated both so and walking; RAND-H learns nothing.
@@ -57,7 +57,7 @@ class CompareConfig:
     rewards: tuple[base.Reward, ...] = base.REWARDS
     seeds: tuple[int, ...] = (0, 1, 2)
     num_steps: int = 100_000
-    out: pathlib.Path = pathlib.Path("runs/peers")
+    out: pathlib.Path = pathlib.Path("runs/baselines")
 
     def __post_init__(self) -> None:
         """Checks names and ranges."""

@@ -69,6 +69,18 @@ def test_preset_sets_defaults_that_options_change(arguments):
     assert changed == Options(preset="best", learning_rate=0.5, resume=True)
 
 
+@pytest.mark.parametrize(
+    "arguments", [("--motor", "mj_c"), ("--motor=mj_c",), ("--engine", "mj_c"), ("--motor=mujoco",)]
+)
+def test_earlier_spellings_of_options_and_of_their_values_are_understood(arguments):
+    earlier = {("", "--motor"): "--engine", ("--engine", "mj_c"): "mujoco"}
+    found = []
+    command = Command(found.append, Options, earlier=earlier)
+    shell.run(command, [*arguments, "--run", "mj_c"], "test")
+    # Only values of that option are other words now.
+    assert found == [Options(engine="mujoco", run=pathlib.Path("mj_c"))]
+
+
 def test_help_shows_the_defaults_of_the_preset(capsys):
     with pytest.raises(SystemExit) as end:
         parsed("--help", "--preset", "best")

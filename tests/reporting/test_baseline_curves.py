@@ -7,7 +7,7 @@ from eihrl_jax import base
 from eihrl_jax.evaluation import results, statistics
 from eihrl_jax.reporting import baseline_curves
 
-PEER = """step,success,episodes,eval/success,eval/reward,eval/return
+BASELINE = """step,success,episodes,eval/success,eval/reward,eval/return
 2000,nan,0.0,,,
 4000,0.5,2.0,0.1,0.01,0.1
 6000,0.5,4.0,,,
@@ -43,29 +43,33 @@ RANDOM = results.Cell(
 
 @pytest.fixture
 def folders(tmp_path):
-    for name, text in (("peers/higl-u", PEER), ("peers/droq-u-dense", PEER), ("ours/best-u", OURS)):
+    for name, text in (
+        ("baselines/higl-u", BASELINE),
+        ("baselines/droq-u-dense", BASELINE),
+        ("ours/best-u", OURS),
+    ):
         for seed in (0, 1):
             run = tmp_path / f"{name}-{seed}"
             run.mkdir(parents=True)
             (run / "metrics.csv").write_text(text)
-    run = tmp_path / "peers" / "ours-u-0"
+    run = tmp_path / "baselines" / "ours-u-0"
     run.mkdir()
     (run / "metrics.csv").write_text(EQUAL)
-    run = tmp_path / "peers" / "rand_h-u-0"
+    run = tmp_path / "baselines" / "rand_h-u-0"
     run.mkdir()
     results.save(run / "eval.json", results.Evaluation(cells=(RANDOM,)))
     return tmp_path
 
 
 def test_episodes_and_steps_are_counted_up_to_each_evaluation(folders):
-    peer = folders / "peers" / "higl-u-0" / "metrics.csv"
+    baseline = folders / "baselines" / "higl-u-0" / "metrics.csv"
     ours = folders / "ours" / "best-u-0" / "metrics.csv"
-    equal = folders / "peers" / "ours-u-0" / "metrics.csv"
+    equal = folders / "baselines" / "ours-u-0" / "metrics.csv"
     for file, axis, expected in (
         (equal, "episodes", [[4.0, 0.5], [12.0, 0.9]]),
         (equal, "control steps", [[4e3, 0.5], [8e3, 0.9]]),
-        (peer, "episodes", [[2.0, 0.1], [8.0, 0.4]]),
-        (peer, "control steps", [[4000.0, 0.1], [8000.0, 0.4]]),
+        (baseline, "episodes", [[2.0, 0.1], [8.0, 0.4]]),
+        (baseline, "control steps", [[4000.0, 0.1], [8000.0, 0.4]]),
         (ours, "episodes", [[50.0, 0.2], [250.0, 0.9]]),
         (ours, "control steps", [[25e3, 0.2], [75e3, 0.9]]),
     ):
@@ -81,14 +85,14 @@ def ours(folders):
 @pytest.mark.parametrize(("y", "value"), [("success", 0.3), ("return", 6.0), ("reward", 0.25)])
 def test_rand_h_is_a_level_line_along_all_others(folders, y, value):
     others = {"ours, walking": [np.array([[4e3, 0.5], [8e3, 0.9]])]}
-    (line,) = baseline_curves._flat(folders / "peers", "u", y, others)["RAND-H"]
+    (line,) = baseline_curves._flat(folders / "baselines", "u", y, others)["RAND-H"]
     np.testing.assert_allclose(line, [[4e3, value], [8e3, value]])
-    assert not baseline_curves._flat(folders / "peers", "s", y, others)
+    assert not baseline_curves._flat(folders / "baselines", "s", y, others)
 
 
 def test_ours_has_a_line_walking_and_one_moved_by_the_oracle(folders):
     read = baseline_curves._AXES["control steps"]
-    found = baseline_curves._lines(folders / "peers", "u", "success", read)
+    found = baseline_curves._lines(folders / "baselines", "u", "success", read)
     assert list(found) == ["ours, walking", "ours, oracle", "HIGL"]
     assert found["ours, walking"][0][:, 1].tolist() == [0.4, 0.8]
     assert found["ours, oracle"][0][:, 1].tolist() == [0.5, 0.9]
@@ -97,25 +101,25 @@ def test_ours_has_a_line_walking_and_one_moved_by_the_oracle(folders):
 
 def test_runs_of_other_settings_and_those_not_yet_begun_are_no_seeds(folders):
     read = baseline_curves._AXES["control steps"]
-    peers = folders / "peers"
+    folder = folders / "baselines"
     for name in ("higl-u-5-updates", "higl-u-anywhere-0"):
-        (peers / name).mkdir()
-        (peers / name / "metrics.csv").write_text(PEER)
-    (peers / "higl-u-2").mkdir()
-    assert len(baseline_curves._lines(peers, "u", "success", read)["HIGL"]) == 2
+        (folder / name).mkdir()
+        (folder / name / "metrics.csv").write_text(BASELINE)
+    (folder / "higl-u-2").mkdir()
+    assert len(baseline_curves._lines(folder, "u", "success", read)["HIGL"]) == 2
 
 
-def test_every_task_that_a_peer_learned_has_its_pictures(folders):
-    section = baseline_curves.section(ours(folders), folders / "peers", folders / "out")
+def test_every_task_that_a_baseline_learned_has_its_pictures(folders):
+    section = baseline_curves.section(ours(folders), folders / "baselines", folders / "out")
     assert [picture.path.name for picture in section.pictures] == [
-        "peers-u-return-episodes.png",
-        "peers-u-return-control-steps.png",
-        "peers-u-success-episodes.png",
-        "peers-u-success-control-steps.png",
-        "peers-u-dense-reward-episodes.png",
-        "peers-u-dense-reward-control-steps.png",
-        "peers-u-dense-success-episodes.png",
-        "peers-u-dense-success-control-steps.png",
+        "baselines-u-return-episodes.png",
+        "baselines-u-return-control-steps.png",
+        "baselines-u-success-episodes.png",
+        "baselines-u-success-control-steps.png",
+        "baselines-u-dense-reward-episodes.png",
+        "baselines-u-dense-reward-control-steps.png",
+        "baselines-u-dense-success-episodes.png",
+        "baselines-u-dense-success-control-steps.png",
     ]
     assert all(picture.path.stat().st_size > 10_000 for picture in section.pictures)
     success, goals, dense_success, dense_reward, reached = section.tables
@@ -144,8 +148,8 @@ def test_every_task_that_a_peer_learned_has_its_pictures(folders):
 
 def test_one_reward_is_enough(folders):
     for seed in (0, 1):
-        (folders / "peers" / f"droq-u-dense-{seed}" / "metrics.csv").unlink()
-    section = baseline_curves.section(ours(folders), folders / "peers", folders / "out")
+        (folders / "baselines" / f"droq-u-dense-{seed}" / "metrics.csv").unlink()
+    section = baseline_curves.section(ours(folders), folders / "baselines", folders / "out")
     assert [picture.path.name.split("-")[2] for picture in section.pictures] == [
         *("return", "return", "success", "success")
     ]
@@ -155,18 +159,19 @@ def test_one_reward_is_enough(folders):
     ]
 
 
-HALF = PEER.partition("6000")[0]
+HALF = BASELINE.partition("6000")[0]
 
 
 @pytest.mark.parametrize(
-    "text", ["", PEER.partition("2000")[0], PEER.partition("4000")[0], HALF, HALF + "6000,0."]
+    "text",
+    ["", BASELINE.partition("2000")[0], BASELINE.partition("4000")[0], HALF, HALF + "6000,0."],
 )
 def test_runs_that_have_not_spent_the_budget_are_left_out(folders, text):
     for name in ("higl-u-2", "hess-u-0", "hess-g1-0"):
-        run = folders / "peers" / name
+        run = folders / "baselines" / name
         run.mkdir()
         (run / "metrics.csv").write_text(text)
-    section = baseline_curves.section(ours(folders), folders / "peers", folders / "out")
+    section = baseline_curves.section(ours(folders), folders / "baselines", folders / "out")
     table = section.tables[0]
     assert ["HIGL", "40 (40 to 40), 2"] in [row[:2] for row in table.rows]
     assert ("HESS" in [row[0] for row in table.rows]) == ("4000" in text)  # alone in g1
@@ -180,13 +185,13 @@ def test_what_was_reached_before_an_episode_ended_has_no_place_on_their_axis(tmp
 
 
 def test_a_table_that_is_none_is_named(folders):
-    file = folders / "peers" / "higl-u-0" / "metrics.csv"
+    file = folders / "baselines" / "higl-u-0" / "metrics.csv"
     file.write_bytes(bytes(range(128, 256)))
     with pytest.raises(base.UserError, match=r"higl-u-0.metrics\.csv can't be read"):
-        baseline_curves.section(ours(folders), folders / "peers", folders / "out")
+        baseline_curves.section(ours(folders), folders / "baselines", folders / "out")
 
 
-def test_a_folder_without_peers_is_named(folders):
+def test_a_folder_without_baselines_is_named(folders):
     with pytest.raises(base.UserError, match="holds no <method>-<maze>-<seed>"):
         baseline_curves.section(ours(folders), folders / "ours", folders / "out")
     assert not baseline_curves.section(ours(folders), None, folders / "out").pictures

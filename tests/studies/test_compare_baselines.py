@@ -48,7 +48,7 @@ def test_hess_tells_its_metrics_some_twenty_times(maze, row, tmp_path):
 
 def test_a_budget_of_too_few_episodes_is_named_before_anything_is_trained(tmp_path):
     config = compare_baselines.CompareConfig(
-        methods=("droq", "hess"), mazes=("spiral",), num_steps=90_000, out=tmp_path / "peers"
+        methods=("droq", "hess"), mazes=("spiral",), num_steps=90_000, out=tmp_path / "baselines"
     )
     with pytest.raises(base.UserError, match="num_steps = 90000 must be at least 100000 for hess"):
         compare_baselines.main(config)
