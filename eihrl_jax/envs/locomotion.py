@@ -355,7 +355,7 @@ def advance(
     is_running: Bool[Array, ""],
 ) -> tuple[engine_lib.PhysicsState, Bool[Array, ""]]:
     """Does what `move` does, with walls wherever `walls_xy` puts them, units."""
-    stepped = engine.step(physics, jnp.where(is_running, ctrl, jnp.nan), walls_xy)
+    stepped = engine.step(physics, ctrl, walls_xy, is_running)
     numbers = jnp.concatenate([stepped.qpos, stepped.qvel, ctrl])
     is_broken = is_running & ~jnp.isfinite(numbers).all()
     kept = tree.where(is_broken, physics, stepped)

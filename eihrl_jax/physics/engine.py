@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 import jax.numpy as jnp
 import mujoco
 from flax import struct
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from eihrl_jax.robots import robot as robot_lib
 
@@ -46,18 +46,20 @@ class Engine(Protocol):
         state: PhysicsState,
         ctrl: Float[Array, " nu"],
         walls_xy: Float[Array, "num_walls 2"],
+        is_running: Bool[Array, ""] | bool = True,
     ) -> PhysicsState:
         """Advances one control step.
 
         Args:
           state: where the robot is.
           ctrl: actuator controls in [-1, 1], held for the whole step; values outside are clipped.
-            A robot whose controls are nan rests as it is, which the C engine does for nothing: so
-            an episode that has ended is put aside.
           walls_xy: centres of the wall cells near the robot, units, see `walls.nearby`.
+          is_running: whether the robot moves at all. One that doesn't stays as it is, which costs
+            the C engine nothing: so an episode that has ended is put aside.
 
         Returns:
-          The state `robot.control_step` seconds later.
+          The state `robot.control_step` seconds later; its positions are nan where the simulation
+          broke down, as it does with controls that are nan.
         """
         ...
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from mujoco import mjx
 
 from eihrl_jax import base
@@ -52,6 +52,7 @@ class MjxEngine:
         state: engine.PhysicsState,
         ctrl: Float[Array, " nu"],
         walls_xy: Float[Array, "num_walls 2"],
+        is_running: Bool[Array, ""] | bool = True,
     ) -> engine.PhysicsState:
         """Advances one control step, see `engine.Engine.step`."""
         mocap_z = self._data.mocap_pos[:, 2:]
@@ -69,8 +70,7 @@ class MjxEngine:
         stepped = engine.PhysicsState(
             qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart
         )
-        is_moving = jnp.isfinite(ctrl).all()
-        return tree.where(is_moving, stepped, state)
+        return tree.where(jnp.asarray(is_running), stepped, state)
 
     def _physics_step(self, data: mjx.Data) -> mjx.Data:
         """Advances one physics step: `mjx.step`, with contact frames as the C engine has them."""

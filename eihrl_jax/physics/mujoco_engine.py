@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 from mujoco import batch as mujoco_batch
 
 from eihrl_jax import base
@@ -37,22 +37,29 @@ class MujocoEngine:
         state: engine.PhysicsState,
         ctrl: Float[Array, " nu"],
         walls_xy: Float[Array, "num_walls 2"],
+        is_running: Bool[Array, ""] | bool = True,
     ) -> engine.PhysicsState:
         """Advances one control step, see `engine.Engine.step`."""
         shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, jnp.float32), state)
         return jax.pure_callback(
-            self._step_rows, shapes, state, ctrl, walls_xy, vmap_method="broadcast_all"
+            self._step_rows,
+            shapes,
+            state,
+            ctrl,
+            walls_xy,
+            jnp.asarray(is_running),
+            vmap_method="broadcast_all",
         )
 
     def _step_rows(
-        self, state: engine.PhysicsState, ctrl: Array, walls_xy: Array
+        self, state: engine.PhysicsState, ctrl: Array, walls_xy: Array, is_running: Array
     ) -> engine.PhysicsState:
         """Steps every row of arrays with any leading axes, on the host."""
         with self._lock:
-            return self._step_locked(state, ctrl, walls_xy)
+            return self._step_locked(state, ctrl, walls_xy, is_running)
 
     def _step_locked(
-        self, state: engine.PhysicsState, ctrl: Array, walls_xy: Array
+        self, state: engine.PhysicsState, ctrl: Array, walls_xy: Array, is_running: Array
     ) -> engine.PhysicsState:
         """Does the work of `_step_rows`, one caller at a time."""
         lead = state.qpos.shape[:-1]
@@ -63,7 +70,10 @@ class MujocoEngine:
             view[...] = np.asarray(getattr(state, name)).reshape(view.shape)
         # NumPy from here on: indexing a JAX array would compile anew for every number of rows.
         ctrl_rows = np.asarray(ctrl).reshape(rows.nsim, -1)
-        moving = np.flatnonzero(np.isfinite(ctrl_rows).all(1))
+        running, is_number = np.asarray(is_running).reshape(-1), np.isfinite(ctrl_rows).all(1)
+        # MuJoCo would take controls that are no numbers for zeros, and warn on the terminal.
+        rows.bind("qpos")[running & ~is_number] = np.nan
+        moving = np.flatnonzero(running & is_number)
         rows.bind("ctrl")[moving] = ctrl_rows[moving]
         rows.bind("mocap_pos")[..., :2] = np.asarray(walls_xy).reshape(rows.nsim, -1, 2)
         try:

@@ -198,8 +198,8 @@ def test_a_trained_subgoal_space_is_frozen_once_little_is_missed(miss, num_block
 class Jump(sled.Sled):
     """Stands in for a robot that is at the goal, one cell east, after a step."""
 
-    def step(self, state, ctrl, walls_xy):
-        return super().step(state, jnp.zeros_like(ctrl).at[0].set(sled.K), walls_xy)
+    def step(self, state, ctrl, walls_xy, is_running):
+        return super().step(state, jnp.zeros_like(ctrl).at[0].set(sled.K), walls_xy, is_running)
 
 
 def small_hess(engine, reward="sparse", **options):

@@ -19,30 +19,29 @@ class Sled:
         self.robot = dataclasses.replace(robots.load("ant"), steps_per_subgoal=K)
         self.model = scene.build(self.robot)
 
-    def step(self, state, ctrl, walls_xy):
+    def step(self, state, ctrl, walls_xy, is_running):
         """Moves; the third control tips the robot over, the fourth breaks the simulation."""
         del walls_xy
         qpos = state.qpos.at[:2].add(base.CELL / K * ctrl[:2])
         turned = jnp.array([0.0, 1.0, 0.0, 0.0])
         qpos = qpos.at[3:7].set(jnp.where(ctrl[2] > 0.5, turned, qpos[3:7]))
         qpos = qpos.at[7].set(jnp.where(ctrl[3] > 0.5, jnp.nan, qpos[7]))
-        is_moving = jnp.isfinite(ctrl).all()
-        return state.replace(qpos=jnp.where(is_moving, qpos, state.qpos))
+        return state.replace(qpos=jnp.where(is_running, qpos, state.qpos))
 
 
 class Stuck(Sled):
     """Stands in for a robot that never moves."""
 
-    def step(self, state, ctrl, walls_xy):
-        del ctrl, walls_xy
+    def step(self, state, ctrl, walls_xy, is_running):
+        del ctrl, walls_xy, is_running
         return state
 
 
 class Breaking(Sled):
     """Stands in for a simulation that breaks down at once."""
 
-    def step(self, state, ctrl, walls_xy):
-        del ctrl, walls_xy
+    def step(self, state, ctrl, walls_xy, is_running):
+        del ctrl, walls_xy, is_running
         return state.replace(qpos=state.qpos.at[7].set(jnp.nan))
 
 
@@ -54,7 +53,8 @@ class Disc(Sled):
         self.robot = dataclasses.replace(robots.load("point"), steps_per_subgoal=K)
         self.model = scene.build(self.robot)
 
-    def step(self, state, ctrl, walls_xy):
+    def step(self, state, ctrl, walls_xy, is_running):
         """Moves by a fifth of a cell times the controls."""
         del walls_xy
-        return state.replace(qpos=state.qpos + base.CELL / K * ctrl)
+        qpos = state.qpos + base.CELL / K * ctrl
+        return state.replace(qpos=jnp.where(is_running, qpos, state.qpos))

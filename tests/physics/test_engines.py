@@ -171,10 +171,21 @@ def test_nan_positions_stay_nan_and_alone(ant, standing, parked, random_ctrls):
     np.testing.assert_array_equal(after.qpos[::2], healthy.qpos[::2])
 
 
-def test_robots_with_nan_controls_rest(ant, standing, parked, random_ctrls):
+def test_robots_that_are_not_running_rest(ant, standing, parked, random_ctrls):
     start, ctrl, walls_xy = standing(ant, 3), random_ctrls(ant, 3), parked(ant, 3)
-    after = jax.vmap(ant.step)(start, ctrl.at[1].set(jnp.nan), walls_xy)
-    np.testing.assert_array_equal(after.qpos[1], start.qpos[1])
+    is_running = jnp.array([True, False, True])
+    for resting_ctrl in (ctrl[1], jnp.nan):
+        ctrls = ctrl.at[1].set(resting_ctrl)
+        after = jax.vmap(ant.step)(start, ctrls, walls_xy, is_running)
+        chex.assert_trees_all_equal(take(after, 1), take(start, 1))
+        healthy = jax.vmap(ant.step)(start, ctrl, walls_xy)
+        np.testing.assert_array_equal(after.qpos[::2], healthy.qpos[::2])
+
+
+def test_nan_controls_of_a_running_robot_break_it_down(ant, standing, parked, random_ctrls):
+    start, ctrl, walls_xy = standing(ant, 3), random_ctrls(ant, 3), parked(ant, 3)
+    after = jax.vmap(ant.step)(start, ctrl.at[1, 0].set(jnp.nan), walls_xy)
+    assert jnp.isnan(after.qpos[1]).all()
     healthy = jax.vmap(ant.step)(start, ctrl, walls_xy)
     np.testing.assert_array_equal(after.qpos[::2], healthy.qpos[::2])
 
