@@ -19,7 +19,8 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
-from eihrl_jax.envs import locomotion, task
+from eihrl_jax.envs import body as body_lib
+from eihrl_jax.envs import task
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
@@ -83,7 +84,7 @@ class GoalMaze:
         no, zero = jnp.zeros((), bool), jnp.float32(0.0)
         inner = GoalMazeState(
             nav=nav,
-            physics=locomotion.draw_pose(self._engine, xy, pose_key),
+            physics=body_lib.draw_pose(self._engine, xy, pose_key),
             total_reward=zero,
             has_fallen=no,
             is_broken=no,
@@ -96,7 +97,7 @@ class GoalMaze:
         inner: GoalMazeState = state.inner
         is_running = ~(state.terminated | state.truncated)
         maze = task.drawn_maze(self.table, inner.nav)
-        physics, is_broken = locomotion.move(self._engine, inner.physics, action, maze, is_running)
+        physics, is_broken = body_lib.move(self._engine, inner.physics, action, maze, is_running)
         xy = physics.qpos[:2]
         nav, outcome = task.advance(self.table, inner.nav, xy[None])
         if self._reward == "dense":
@@ -108,7 +109,7 @@ class GoalMaze:
             nav=nav,
             physics=physics,
             total_reward=inner.total_reward + outcome.reward,
-            has_fallen=inner.has_fallen | locomotion.is_fallen(physics.qpos, self.robot),
+            has_fallen=inner.has_fallen | body_lib.is_fallen(physics.qpos, self.robot),
             is_broken=is_broken,
         )
         rested = state.replace(reward=jnp.float32(0.0))

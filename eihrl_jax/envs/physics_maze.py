@@ -18,7 +18,8 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
-from eihrl_jax.envs import locomotion, low_obs, raster, task
+from eihrl_jax.envs import body as body_lib
+from eihrl_jax.envs import low_obs, raster, task
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import kinematics
@@ -112,7 +113,7 @@ class PhysicsMaze:
         nav, xy = task.start(self.table, start_key, maze)
         no = jnp.zeros((), bool)
         body = Body(
-            physics=locomotion.draw_pose(self._engine, xy, pose_key),
+            physics=body_lib.draw_pose(self._engine, xy, pose_key),
             visited=nav.visited,
             steps_left=jnp.int32(self.robot.steps_per_subgoal),
             is_running=~no,
@@ -151,13 +152,13 @@ class PhysicsMaze:
         The robot rests once the episode is over: with sparse reward when the last goal is reached,
         and when its simulation has broken down.
         """
-        physics, is_broken = locomotion.move(
+        physics, is_broken = body_lib.move(
             self._engine, body.physics, ctrl, subgoal.maze, body.is_running
         )
         nav = subgoal.nav.replace(visited=body.visited)
         nav, outcome = task.advance(self.table, nav, physics.qpos[None, :2])
         is_done = outcome.terminated if self._reward == "sparse" else jnp.zeros((), bool)
-        is_fallen = locomotion.is_fallen(physics.qpos, self.robot)
+        is_fallen = body_lib.is_fallen(physics.qpos, self.robot)
         return Body(
             physics=physics,
             visited=nav.visited,

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float, Int, Key
 from eihrl_jax import base, mazes
 from eihrl_jax.baselines import interface as system_lib
 from eihrl_jax.config import codec, presets
-from eihrl_jax.envs import goal_maze, hierarchy, locomotion, task
+from eihrl_jax.envs import body as body_lib
+from eihrl_jax.envs import goal_maze, hierarchy, task
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.runs import checkpoint, policies
 
@@ -67,7 +68,7 @@ class BaselineMaze:
             ctrl, memory = self.system.act(self.policy, memory, inner.obs, key)
             inner = self.env.step(inner, ctrl)
             qpos = inner.inner.physics.qpos
-            is_fallen = locomotion.is_fallen(qpos, self.env.robot)
+            is_fallen = body_lib.is_fallen(qpos, self.env.robot)
             step = hierarchy.Trace(qpos=qpos, is_fallen=is_fallen, is_running=is_running)
             return (inner, memory), step
 

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
 from eihrl_jax.config import measure as measure_config
+from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import hierarchy, locomotion, postures, rooms, subgoals, wrappers
 from eihrl_jax.evaluation import loading
 from eihrl_jax.mazes import maze as maze_lib
@@ -143,7 +144,7 @@ def _walk(
     def advance(carry: tuple[base.EnvState, Begun], _: None) -> tuple[Any, Steps]:
         state, begun = carry
         before: locomotion.LocomotionState = state.inner
-        was_down = locomotion.is_fallen(before.physics.qpos, env.robot)
+        was_down = body_lib.is_fallen(before.physics.qpos, env.robot)
         now = Begun(is_upright=~was_down, is_clear=_is_clear(env, before))
         is_first = before.step % k == 0
         begun = tree.where(is_first, now, begun)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from eihrl_jax import base, robots
 from eihrl_jax.agents import droq, replay
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import locomotion, low_obs, postures, rooms, subgoals, wrappers
+from eihrl_jax.envs import experience, locomotion, low_obs, postures, rooms, subgoals, wrappers
 from eihrl_jax.ops import tree
 from eihrl_jax.physics import engines
 from eihrl_jax.runs import checkpoint, policies, run_folder, versions
@@ -186,10 +186,10 @@ class LowTrainer:
 
     def _walk(
         self, envs: base.EnvState, ctrl: Float[Array, "N nu"]
-    ) -> tuple[base.EnvState, locomotion.Experience]:
+    ) -> tuple[base.EnvState, experience.Experience]:
         """Steps every environment, and returns what is to be stored of it."""
         stepped = jax.vmap(self._env.step)(envs, ctrl)
-        return stepped, jax.vmap(locomotion.experience)(envs, ctrl, stepped)
+        return stepped, jax.vmap(experience.of_step)(envs, ctrl, stepped)
 
     def _draw(
         self, memory: replay.Replay, num_batches: int, key: Key[Array, ""]
@@ -203,7 +203,7 @@ class LowTrainer:
             is_seen_anew = jax.random.bernoulli(share_key, self.config.relabel_share, shape)
             rows = jax.vmap(jax.vmap(self._see_anew))(rows, direction, is_seen_anew)
         transition = functools.partial(
-            locomotion.transition,
+            experience.transition,
             robot=self.robot,
             input_options=self.config.low_input,
             reward_options=self.config.reward,
@@ -212,13 +212,13 @@ class LowTrainer:
         return jax.vmap(jax.vmap(transition))(rows)
 
     def _see_anew(
-        self, row: locomotion.Experience, direction: Int[Array, ""], is_seen_anew: Bool[Array, ""]
-    ) -> locomotion.Experience:
+        self, row: experience.Experience, direction: Int[Array, ""], is_seen_anew: Bool[Array, ""]
+    ) -> experience.Experience:
         """Returns a stored step, or what it would be if `direction` had been asked for."""
         if self.config.relabel == "direction":
-            anew = locomotion.relabel(row, direction)
+            anew = experience.relabel(row, direction)
         else:
-            anew = locomotion.restart(row, direction, self.robot)
+            anew = experience.restart(row, direction, self.robot)
         return tree.where(is_seen_anew, anew, row)
 
     def _roll(

@@ -10,7 +10,8 @@ import pytest
 
 from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import locomotion, rooms, wrappers
+from eihrl_jax.envs import body as body_lib
+from eihrl_jax.envs import experience, locomotion, low_reward, rooms, wrappers
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engines
 
@@ -42,7 +43,7 @@ def test_plain_reward_is_equation_1(direction):
         goal = np.array(base.DIRECTIONS_XY[direction])
         cosine = goal @ step / np.linalg.norm(step)
         expected = 3.0 * cosine * np.linalg.norm(step)
-        found = locomotion.reward(
+        found = low_reward.step_reward(
             jnp.float32(before),
             jnp.float32(step),
             jnp.float32(0.5),
@@ -55,7 +56,7 @@ def test_plain_reward_is_equation_1(direction):
 
 
 def test_reward_is_zero_and_smooth_at_rest():
-    slope = jax.grad(locomotion.reward, argnums=1)(
+    slope = jax.grad(low_reward.step_reward, argnums=1)(
         jnp.zeros(2),
         jnp.zeros(2),
         jnp.float32(1.0),
@@ -71,7 +72,9 @@ def _pay(before, step, fell=False, time_left=1.0, **options):
     """Reward of a step towards y+, with four steps per subgoal."""
     options = low_config.LowReward(scale=1.0, **options)
     before, step, left = jnp.array(before), jnp.array(step), jnp.float32(time_left)
-    return float(locomotion.reward(before, step, left, jnp.int32(2), jnp.array(fell), options, 4))
+    return float(
+        low_reward.step_reward(before, step, left, jnp.int32(2), jnp.array(fell), options, 4)
+    )
 
 
 @pytest.mark.parametrize(
@@ -135,11 +138,11 @@ def test_stored_step_relabelled_pays_as_if_the_other_direction_had_been_asked(po
     states = _drive(env, lambda state: 2, 25)
     for before, after in itertools.pairwise(states):
         ctrl = jnp.array(base.DIRECTIONS_XY[2])
-        stored = locomotion.experience(before, ctrl, after)
-        same = locomotion.relabel(stored, before.obs.direction)
-        seen = locomotion.transition(same, POINT, low_config.LowInput(), options, 0.9)
+        stored = experience.of_step(before, ctrl, after)
+        same = experience.relabel(stored, before.obs.direction)
+        seen = experience.transition(same, POINT, low_config.LowInput(), options, 0.9)
         np.testing.assert_allclose(seen.reward, after.reward, atol=1e-4)
-        other = locomotion.relabel(stored, jnp.int32(2))
+        other = experience.relabel(stored, jnp.int32(2))
         is_switch = bool(stored.is_switch)
         expected = after.final_obs.direction if is_switch else 2
         assert int(other.obs.direction) == 2 and int(other.next_obs.direction) == expected
@@ -152,8 +155,8 @@ def test_a_step_restarted_is_the_first_of_its_subgoal(point_engine):
     env = _env(point_engine)
     states = _drive(env, lambda state: 2, 25)
     for before, after in itertools.pairwise(states[12:]):
-        stored = locomotion.experience(before, jnp.zeros(2), after)
-        anew = locomotion.restart(stored, jnp.int32(1), POINT)
+        stored = experience.of_step(before, jnp.zeros(2), after)
+        anew = experience.restart(stored, jnp.int32(1), POINT)
         assert not anew.is_switch
         for obs, displacement, steps_left in (
             (anew.obs, np.zeros(2), 25),
@@ -167,10 +170,10 @@ def test_a_step_restarted_is_the_first_of_its_subgoal(point_engine):
 
 def test_a_turned_over_ant_has_fallen(ant_engine):
     stand = jnp.float32(ant_engine.model.key_qpos[0])
-    assert not locomotion.is_fallen(stand, ANT)
-    assert locomotion.is_fallen(stand.at[2].set(0.1), ANT)
-    assert locomotion.is_fallen(stand.at[2].set(1.2), ANT)
-    assert locomotion.is_fallen(stand.at[3:7].set(jnp.array([0.0, 1.0, 0.0, 0.0])), ANT)
+    assert not body_lib.is_fallen(stand, ANT)
+    assert body_lib.is_fallen(stand.at[2].set(0.1), ANT)
+    assert body_lib.is_fallen(stand.at[2].set(1.2), ANT)
+    assert body_lib.is_fallen(stand.at[3:7].set(jnp.array([0.0, 1.0, 0.0, 0.0])), ANT)
 
 
 def test_where_falls_do_not_end_episodes_they_are_told_once(ant_engine):

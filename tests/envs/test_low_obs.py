@@ -11,7 +11,8 @@ import pytest
 
 from eihrl_jax import robots
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import locomotion, low_obs
+from eihrl_jax.envs import body as body_lib
+from eihrl_jax.envs import low_obs
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import engines, scene
@@ -151,7 +152,7 @@ def test_renaming_and_stepping_commute(robot, variant):
     engine = engines.make(robot, "mujoco")
     near = jnp.tile(jnp.array(scene.PARKED_XY), (robot.num_walls, 1))
     key, ctrl_key = jax.random.split(jax.random.key(variant))
-    state = locomotion.draw_pose(engine, jnp.array([0.3, 0.4]), key)
+    state = body_lib.draw_pose(engine, jnp.array([0.3, 0.4]), key)
     other = _image(state, robot, variant)
     features = jax.jit(lambda obs: low_obs.features(obs, robot, CANONICAL))
     for action in jax.random.uniform(ctrl_key, (5, engine.model.nu), minval=-1.0, maxval=1.0):

@@ -12,7 +12,8 @@ from PIL import Image
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import locomotion, low_obs, raster, subgoals
+from eihrl_jax.envs import body as body_lib
+from eihrl_jax.envs import low_obs, raster, subgoals
 from eihrl_jax.evaluation import loading, results, rollouts
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engines
@@ -36,7 +37,7 @@ def folder(tmp_path_factory):
     )
     robot = robots.load("point")
     engine = engines.make(robot)
-    physics = locomotion.draw_pose(engine, jnp.zeros(2), jax.random.key(0))
+    physics = body_lib.draw_pose(engine, jnp.zeros(2), jax.random.key(0))
     obs = low_obs.observe(physics, jnp.zeros(2), jnp.int32(1), jnp.int32(0), robot)
     num_features = len(low_obs.features(obs, robot, low_config.LowInput()))
     actor = droq.Actor(engine.model.nu, (4,))

@@ -18,7 +18,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base
-from eihrl_jax.envs import locomotion
+from eihrl_jax.envs import body as body_lib
 from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import scene
@@ -46,7 +46,7 @@ class ForwardRun:
     def reset(self, key: Key[Array, ""]) -> base.EnvState:
         """Draws a new episode; the key is consumed."""
         next_key, pose_key = jax.random.split(key)
-        physics = locomotion.draw_pose(self._engine, jnp.zeros(2), pose_key)
+        physics = body_lib.draw_pose(self._engine, jnp.zeros(2), pose_key)
         qpos = physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0]))
         physics = engine_lib.reset(qpos, physics.qvel)
         zero, no = jnp.float32(0.0), jnp.zeros((), bool)
@@ -56,7 +56,7 @@ class ForwardRun:
         """Advances one control step; an episode that is over rests, and pays nothing."""
         inner: ForwardRunState = state.inner
         is_running = ~(state.terminated | state.truncated)
-        physics, is_broken = locomotion.advance(
+        physics, is_broken = body_lib.advance(
             self._engine, inner.physics, action, self._no_walls, is_running
         )
         speed = (physics.qpos[0] - inner.physics.qpos[0]) / self.robot.control_step

@@ -18,7 +18,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
-from eihrl_jax.envs import locomotion
+from eihrl_jax.envs import body as body_lib
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
@@ -97,7 +97,7 @@ class UMaze:
         drawn = jax.random.uniform(goal_key, (2,), minval=GOALS[0], maxval=GOALS[1])
         goal_xy = start_xy + (jnp.array(FAR_XY) if self._is_evaluation else drawn)
         no = jnp.zeros((), bool)
-        physics = locomotion.draw_pose(self._engine, start_xy, pose_key)
+        physics = body_lib.draw_pose(self._engine, start_xy, pose_key)
         qpos = physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0]))
         inner = UMazeState(
             physics=engine_lib.reset(qpos, physics.qvel),
@@ -119,9 +119,7 @@ class UMaze:
         near = scale * walls.nearby(
             self._maze, inner.physics.qpos[:2] / scale, self.robot.num_walls
         )
-        physics, is_broken = locomotion.advance(
-            self._engine, inner.physics, action, near, is_running
-        )
+        physics, is_broken = body_lib.advance(self._engine, inner.physics, action, near, is_running)
         distance = jnp.sqrt(jnp.square(physics.qpos[:2] - inner.goal_xy).sum())
         is_there = distance <= RADIUS
         reward = -distance if self._reward == "dense" else jnp.where(is_there, 0.0, -1.0)
@@ -130,7 +128,7 @@ class UMaze:
             physics=physics,
             goal_xy=inner.goal_xy,
             has_arrived=inner.has_arrived | is_there,
-            has_fallen=inner.has_fallen | locomotion.is_fallen(physics.qpos, self.robot),
+            has_fallen=inner.has_fallen | body_lib.is_fallen(physics.qpos, self.robot),
             is_broken=is_broken,
             total_reward=inner.total_reward + reward,
             step=step,
