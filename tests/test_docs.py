@@ -21,8 +21,9 @@ DOCUMENTS = sorted(
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_examples_run(name):
-    results = doctest.testmod(importlib.import_module(name))
+def test_examples_run(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    results = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
     assert results.attempted > 0
     assert results.failed == 0
 
