@@ -1,18 +1,18 @@
 """What the rest of the package needs to know about a robot besides its MJCF."""
 
-import dataclasses
 import pathlib
 import re
+from typing import Annotated, Literal
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import limits
 from eihrl_jax.robots import symmetry as symmetry_lib
 
-ROOTS = ("free", "planar", "slide")
-"""Ways in which a robot's torso is joined to the world."""
+Root = Literal["free", "planar", "slide"]
+"""How a robot's torso is joined to the world, see `Robot`."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Robot:
     """A robot: where its model is, and the numbers by which the hierarchy drives it.
 
@@ -37,35 +37,30 @@ class Robot:
 
     name: str
     mjcf: pathlib.Path
-    root: str
-    physics_step: float
-    num_substeps: int
-    steps_per_subgoal: int
-    reach: float
-    body_radius: float
+    root: Root
+    physics_step: Annotated[float, limits.Range(above=0.0, high=0.1)]
+    num_substeps: Annotated[int, limits.Range(1, 1000)]
+    steps_per_subgoal: Annotated[int, limits.Range(2, 10_000)]
+    reach: Annotated[float, limits.Range(above=0.0, high=base.CELL)]
+    body_radius: Annotated[float, limits.Range(above=0.0, high=base.CELL / 2)]
     healthy_z: tuple[float, float] | None = None
-    qpos_noise: float = 0.1
-    qvel_noise: float = 0.1
+    qpos_noise: Annotated[float, limits.Range(0.0, 3.2)] = 0.1
+    qvel_noise: Annotated[float, limits.Range(0.0, 10.0)] = 0.1
     symmetry: symmetry_lib.Symmetry | None = None
 
     def __post_init__(self) -> None:
-        """Checks ranges, since descriptions may come from files."""
+        """Checks the name, and how the numbers fit together; descriptions may come from files."""
+        # The name becomes part of paths.
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", self.name):
             raise base.UserError(f"name = {self.name!r} must be letters, digits, - and _")
-        checks.one_of("root", self.root, ROOTS)
-        checks.in_range("physics_step", self.physics_step, above=0.0, high=0.1)
-        checks.in_range("num_substeps", self.num_substeps, 1, 1000)
-        checks.in_range("steps_per_subgoal", self.steps_per_subgoal, 2, 10_000)
-        checks.in_range("reach", self.reach, above=0.0, high=base.CELL)
-        checks.in_range("body_radius", self.body_radius, above=0.0, high=base.CELL / 2)
-        checks.in_range("qpos_noise", self.qpos_noise, 0.0, 3.2)
-        checks.in_range("qvel_noise", self.qvel_noise, 0.0, 10.0)
+
         if self.healthy_z is not None and not self.healthy_z[0] < self.healthy_z[1]:
             raise base.UserError(f"healthy_z = {self.healthy_z} must be a height and a greater one")
-        if self.symmetry is not None and self.symmetry.num_turns > 1 and self.root == "slide":
-            raise base.UserError("symmetry: a robot with root 'slide' has no heading to turn")
         if self.healthy_z is not None and self.root != "free":
             raise base.UserError(f"healthy_z: a robot with root {self.root!r} can't fall")
+
+        if self.symmetry is not None and self.symmetry.num_turns > 1 and self.root == "slide":
+            raise base.UserError("symmetry: a robot with root 'slide' has no heading to turn")
 
     @property
     def control_step(self) -> float:
@@ -75,4 +70,5 @@ class Robot:
     @property
     def num_walls(self) -> int:
         """Number of wall boxes that can touch the robot at once."""
-        return 3 if self.reach < 1.5 else 8
+        # Nearer than half a cell to its centre, a robot meets one cell on each axis and a corner.
+        return 3 if self.reach < base.CELL / 2 else 8

@@ -3,19 +3,20 @@
 import dataclasses
 import functools
 import itertools
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import limits
 
 SignedOrder = tuple[int, ...]
 """A signed permutation, counted from 1: entry i says which value moves to place i, and a negative
 one that its sign changes on the way."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class Symmetry:
     """Turns about the body's z axis, and the mirror at its x-z plane, that map it to itself.
 
@@ -30,23 +31,22 @@ class Symmetry:
       mirror_controls: controls after reflection.
     """
 
-    num_turns: int = 1
+    num_turns: Annotated[int, limits.Range(1, 64)] = 1
     turn_joints: SignedOrder = ()
     turn_controls: SignedOrder = ()
     mirror_joints: SignedOrder | None = None
     mirror_controls: SignedOrder | None = None
 
     def __post_init__(self) -> None:
-        """Checks that the orders are signed permutations; they may come from a file."""
-        checks.in_range("num_turns", self.num_turns, 1, 64)
+        """Checks that the orders are signed permutations of a group; they may come from a file."""
         for field in dataclasses.fields(self):
             order = getattr(self, field.name)
-            if not isinstance(order, tuple):
-                continue
-            if sorted(map(abs, order)) != list(range(1, len(order) + 1)):
+            is_order = isinstance(order, tuple)
+            if is_order and sorted(map(abs, order)) != list(range(1, len(order) + 1)):
                 raise base.UserError(
                     f"{field.name} = {order} must hold each of 1 to {len(order)} once, either sign"
                 )
+
         if (self.mirror_joints is None) != (self.mirror_controls is None):
             raise base.UserError("mirror_joints and mirror_controls go together")
         _check_group("joints", self.num_turns, self.turn_joints, self.mirror_joints)
@@ -80,6 +80,7 @@ def _check_group(what: str, num_turns: int, turn: SignedOrder, mirror: SignedOrd
         raise base.UserError(f"turn_{what} = {turn} needs num_turns above 1")
     if num_turns > 1 and mirror is not None and len(turn) != len(mirror):
         raise base.UserError(f"turn_{what} and mirror_{what} differ in length")
+
     identity = np.arange(1, len(turn or mirror or ()) + 1)
 
     def leads_back(*orders: SignedOrder) -> bool:
@@ -89,6 +90,7 @@ def _check_group(what: str, num_turns: int, turn: SignedOrder, mirror: SignedOrd
         raise base.UserError(f"turn_{what} = {turn}: {num_turns} turns don't lead back")
     if mirror is not None and not leads_back(mirror, mirror):
         raise base.UserError(f"mirror_{what} = {mirror}: two reflections don't lead back")
+    # The relation of a dihedral group: a turn between two reflections is the turn back.
     if num_turns > 1 and mirror is not None and not leads_back(mirror, turn, mirror, turn):
         raise base.UserError(
             f"mirror_{what} = {mirror} doesn't fit turn_{what} = {turn}: mirrored, a turn must be "

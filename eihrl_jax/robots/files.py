@@ -1,0 +1,66 @@
+"""Robots by name, and your own: an MJCF file and a short description beside it, in TOML."""
+
+import dataclasses
+import json
+import pathlib
+import tomllib
+
+from eihrl_jax import base
+from eihrl_jax.config import codec
+from eihrl_jax.robots import ant, humanoid, point, swimmer
+from eihrl_jax.robots.robot import Robot
+
+SUFFIX = ".toml"
+"""How the name of a description ends."""
+
+_ROBOTS = {robot.name: robot for robot in (point.ROBOT, ant.ROBOT, swimmer.ROBOT, humanoid.ROBOT)}
+
+NAMES = tuple(_ROBOTS)
+"""The robots that come with the package; each has its own module."""
+
+
+def load(name: str) -> Robot:
+    """Returns one of the package's robots, or one of your own.
+
+    Args:
+      name: one of `NAMES`, or the path of a description, see `read` and `docs/robots.md`.
+
+    Raises:
+      base.UserError: there is no such robot, or its description is wrong.
+    """
+    if name in _ROBOTS:
+        return _ROBOTS[name]
+    if not name.endswith(SUFFIX):
+        raise base.UserError(
+            f"robot {name!r} is unknown; choose one of {', '.join(NAMES)}, "
+            f"or name a description that ends in {SUFFIX}"
+        )
+
+    robot = read(pathlib.Path(name))
+    # Policies are told apart by their robot's name.
+    if robot.name in NAMES:
+        raise base.UserError(f"robot {name!r}: name {robot.name!r} is taken by the package")
+    return robot
+
+
+def read(path: pathlib.Path) -> Robot:
+    """Reads the description of a robot, whose keys are the attributes of `robot.Robot`.
+
+    Args:
+      path: the file; `mjcf` in it is relative to its folder.
+
+    Raises:
+      base.UserError: it can't be read, lacks something, or says something impossible.
+    """
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise base.UserError(f"robot {str(path)!r}: {error.strerror}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise base.UserError(f"robot {str(path)!r} is no TOML: {error}") from None
+
+    try:
+        robot = codec.from_json(Robot, json.dumps(values), source="description")
+    except (base.UserError, TypeError) as error:  # JSON has no dates
+        raise base.UserError(f"robot {str(path)!r}: {error}") from None
+    return dataclasses.replace(robot, mjcf=path.parent / robot.mjcf)
