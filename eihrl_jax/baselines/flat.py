@@ -3,8 +3,6 @@
 The learner is that of our low level, `agents.droq`, with the task's own reward.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -94,19 +92,19 @@ class FlatDroq:
         metrics = {f"learner/{name}": jnp.nanmean(value) for name, value in learned.items()}
         return state, metrics | {name: value.sum() for name, value in sums.items()}
 
-    def policy(self, state: FlatState) -> dict[str, Any]:
+    def policy(self, state: FlatState) -> dict[str, base.Params]:
         """Returns what acts."""
         return {"actor": state.learner.average_params}
 
     def start(self) -> tuple[()]:
-        """Returns what the policy remembers at an episode's beginning, which is nothing."""
+        """Returns the carry at the beginning of an episode, which is empty."""
         return ()
 
     def act(
-        self, policy: dict[str, Any], memory: tuple[()], obs: base.GoalObs, key: Key[Array, ""]
+        self, policy: dict[str, base.Params], carry: tuple[()], obs: base.GoalObs
     ) -> tuple[Float[Array, " nu"], tuple[()]]:
-        """Returns controls in [-1, 1] without exploration, and what is to be remembered."""
-        return self._learner.mode(policy["actor"], self.see(obs)), memory
+        """Returns controls in [-1, 1] without exploration, and the carry of the next step."""
+        return self._learner.mode(policy["actor"], self.see(obs)), carry
 
     def see(self, obs: base.GoalObs) -> Float[Array, " F"]:
         """Returns what the level sees: x and y from the arena's centre, the robot, the way left.

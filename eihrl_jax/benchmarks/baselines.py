@@ -37,13 +37,13 @@ def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> dict[s
     places = dataclasses.replace(config.adjacency, period=2**31 - 1)
     timed = dataclasses.replace(config, maze=maze, landmarks=landmarks, adjacency=places)
     arena = baselines.make_arena(timed)
-    system = arena.system
-    state = jax.jit(system.init)(jax.random.key(0))
+    baseline = arena.baseline
+    state = jax.jit(baseline.init)(jax.random.key(0))
 
     def walk(state: Any) -> Any:
-        return jax.lax.scan(lambda state, _: system.advance(state), state, length=rounds)[0]
+        return jax.lax.scan(lambda state, _: baseline.advance(state), state, length=rounds)[0]
 
-    seconds = _median_seconds(walk, state, repeats) / (rounds * system.steps_per_round)
+    seconds = _median_seconds(walk, state, repeats) / (rounds * baseline.steps_per_round)
     seconds += _fit_seconds(arena.side_xy, config.adjacency) / config.adjacency.period
     return {"rate": 1.0 / seconds, "ratio": 1.0 / seconds / PUBLISHED}
 

@@ -10,7 +10,7 @@ from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base, mazes
-from eihrl_jax.baselines import interface as system_lib
+from eihrl_jax.baselines import interface
 from eihrl_jax.config import codec, presets
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import goal_maze, hierarchy, task
@@ -24,12 +24,12 @@ class BaselineWalk(struct.PyTreeNode):
     Attributes:
       nav: where it stands, its `decisions` counted as ours are.
       state: of the maze.
-      memory: what the baseline remembers.
+      carry: what the baseline remembers.
     """
 
     nav: task.Navigation
     state: base.EnvState
-    memory: Any
+    carry: Any
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,18 +39,18 @@ class BaselineMaze:
     Attributes:
       env: the maze.
       table: the same mazes with their time limits in decisions.
-      system: the baseline.
+      baseline: what acts.
       policy: its parameters.
     """
 
     env: goal_maze.GoalMaze
     table: task.MazeTable
-    system: system_lib.System
+    baseline: interface.Baseline
     policy: dict[str, Any]
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
-        return self._outer(self.env.reset(key, maze), self.system.start(), jnp.float32(0.0))
+        return self._outer(self.env.reset(key, maze), self.baseline.start(), jnp.float32(0.0))
 
     def trace(
         self, state: base.EnvState, action: Int[Array, ""]
@@ -58,30 +58,31 @@ class BaselineMaze:
         """Walks on for as long as one of our subgoals takes; the action means nothing."""
         del action
         walk: BaselineWalk = state.inner
-        next_key, act_key = jax.random.split(walk.state.key)
+        next_key, _ = jax.random.split(walk.state.key)  # Acting draws nothing.
 
         def advance(
-            carry: tuple[base.EnvState, Any], key: Key[Array, ""]
+            loop: tuple[base.EnvState, Any], _: None
         ) -> tuple[tuple[base.EnvState, Any], hierarchy.Trace]:
-            inner, memory = carry
+            inner, carry = loop
             is_running = ~(inner.terminated | inner.truncated)
-            ctrl, memory = self.system.act(self.policy, memory, inner.obs, key)
+            ctrl, carry = self.baseline.act(self.policy, carry, inner.obs)
             inner = self.env.step(inner, ctrl)
             qpos = inner.inner.physics.qpos
             is_fallen = body_lib.is_fallen(qpos, self.env.robot)
             step = hierarchy.Trace(qpos=qpos, is_fallen=is_fallen, is_running=is_running)
-            return (inner, memory), step
+            return (inner, carry), step
 
-        keys = jax.random.split(act_key, self.env.robot.steps_per_subgoal)
-        start = walk.state.replace(key=next_key), walk.memory
-        (inner, memory), trace = jax.lax.scan(advance, start, keys)
+        start = walk.state.replace(key=next_key), walk.carry
+        (inner, carry), trace = jax.lax.scan(
+            advance, start, length=self.env.robot.steps_per_subgoal
+        )
         paid = inner.metrics["return"] - state.metrics["return"]
-        return self._outer(inner, memory, paid), trace
+        return self._outer(inner, carry, paid), trace
 
-    def _outer(self, inner: base.EnvState, memory: Any, reward: Float[Array, ""]) -> base.EnvState:
+    def _outer(self, inner: base.EnvState, carry: Any, reward: Float[Array, ""]) -> base.EnvState:
         decisions = inner.metrics["decisions"].astype(jnp.int32)
         nav = inner.inner.nav.replace(decisions=decisions)
-        walk = BaselineWalk(nav=nav, state=inner, memory=memory)
+        walk = BaselineWalk(nav=nav, state=inner, carry=carry)
         return inner.replace(inner=walk, obs=None, final_obs=None, reward=reward)
 
 
@@ -114,7 +115,7 @@ def load(
     env = goal_maze.GoalMaze(engine, stacked, reward=reward)
     width, height = policies.entry(meta, "side_xy", path)
     steps = int(env.table.mazes.num_decisions.max())
-    system = system_lib.make(env, engine.model.nu, (width, height), steps, options)
-    expected = jax.eval_shape(lambda key: system.policy(system.init(key)), jax.random.key(0))
+    baseline = interface.make(env, engine.model.nu, (width, height), steps, options)
+    expected = jax.eval_shape(lambda key: baseline.policy(baseline.init(key)), jax.random.key(0))
     checkpoint.check_same(path, policy, expected)
-    return BaselineMaze(env, task.prepare(stacked), system, policy)
+    return BaselineMaze(env, task.prepare(stacked), baseline, policy)

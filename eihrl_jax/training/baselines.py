@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from eihrl_jax import base, mazes, robots
-from eihrl_jax.baselines import interface as system_lib
+from eihrl_jax.baselines import interface
 from eihrl_jax.config import baselines as config_lib
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.envs import goal_maze, wrappers
@@ -30,13 +30,13 @@ class Arena:
       title: what is done where, in a few words.
       env: the maze.
       side_xy: its sides, units.
-      system: the baseline.
+      baseline: what learns.
     """
 
     title: str
     env: Any
     side_xy: tuple[int, int]
-    system: system_lib.System
+    baseline: interface.Baseline
 
     @functools.cached_property
     def advance(self) -> jax.stages.Wrapped:
@@ -44,7 +44,7 @@ class Arena:
 
         def advance(state: Any, num_rounds: int) -> tuple[Any, dict[str, Array]]:
             return jax.lax.scan(
-                lambda state, _: self.system.advance(state), state, length=num_rounds
+                lambda state, _: self.baseline.advance(state), state, length=num_rounds
             )
 
         return jax.jit(advance, static_argnums=1, donate_argnums=0)
@@ -76,8 +76,8 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
         raise base.UserError(
             f"period = {config.period} must be smaller than the {steps} control steps of an episode"
         )
-    system = system_lib.make(trained_in, engine.model.nu, env.side_xy, steps, config)
-    return Arena(f"{config.method} in {config.maze}", env, env.side_xy, system)
+    baseline = interface.make(trained_in, engine.model.nu, env.side_xy, steps, config)
+    return Arena(f"{config.method} in {config.maze}", env, env.side_xy, baseline)
 
 
 def train(config: config_lib.BaselineConfig) -> None:
@@ -100,7 +100,7 @@ def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
     Raises:
       base.UserError: the run folder is not as it should be.
     """
-    system, per_row = arena.system, arena.system.steps_per_round * config.log_rounds
+    baseline, per_row = arena.baseline, arena.baseline.steps_per_round * config.log_rounds
     walked = checkpoint.last_step(config.run / run_folder.CHECKPOINTS) or 0
     if config.resume and walked - per_row >= config.num_steps:
         raise base.UserError(
@@ -110,7 +110,7 @@ def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
         config.run, config, resume=config.resume, may_change={"num_steps"}
     ) as run:
         init_key, measure_key = jax.random.split(jax.random.key(config.seed))
-        state = jax.jit(system.init)(init_key)
+        state = jax.jit(baseline.init)(init_key)
         restored = run.restore(state)
         done, state = (0, state) if restored is None else restored
         with progress_lib.Progress(arena.title, config.num_steps, done=done) as progress:
@@ -123,7 +123,7 @@ def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
                 is_last = done >= config.num_steps
                 if count % config.evaluate_every == 0 or is_last:
                     key = jax.random.fold_in(measure_key, count)
-                    found = metrics_lib.summarise(evaluate(system.policy(state), key))
+                    found = metrics_lib.summarise(evaluate(baseline.policy(state), key))
                     found["reward"] = found["return"] / found["steps"]
                     row |= {f"eval/{name}": value for name, value in found.items()}
                 run.log(done, row)
@@ -137,25 +137,19 @@ def measure(
     arena: Arena, policy: dict[str, Any], key: Key[Array, ""], num_episodes: int
 ) -> dict[str, Float[Array, ""]]:
     """Runs episodes without exploration; returns sums of their metrics and their number."""
-    env_key, act_key = jax.random.split(key)
+    env_key, _ = jax.random.split(key)  # Acting draws nothing; splitting keeps the episodes.
     envs = jax.vmap(arena.env.reset)(jax.random.split(env_key, num_episodes))
-    start = arena.system.start()
-    memory = jax.tree.map(lambda leaf: jnp.stack([leaf] * num_episodes), start)
+    carries = jax.tree.map(lambda leaf: jnp.stack([leaf] * num_episodes), arena.baseline.start())
 
-    def is_running(carry: tuple[base.EnvState, Any, Key[Array, ""]]) -> Array:
-        return ~(carry[0].terminated | carry[0].truncated).all()
+    def is_running(loop: tuple[base.EnvState, Any]) -> Array:
+        return ~(loop[0].terminated | loop[0].truncated).all()
 
-    def body(
-        carry: tuple[base.EnvState, Any, Key[Array, ""]],
-    ) -> tuple[base.EnvState, Any, Key[Array, ""]]:
-        envs, memory, key = carry
-        key, now_key = jax.random.split(key)
-        keys = jax.random.split(now_key, num_episodes)
-        act = jax.vmap(arena.system.act, (None, 0, 0, 0))
-        ctrl, memory = act(policy, memory, envs.obs, keys)
-        return jax.vmap(arena.env.step)(envs, ctrl), memory, key
+    def body(loop: tuple[base.EnvState, Any]) -> tuple[base.EnvState, Any]:
+        envs, carries = loop
+        ctrl, carries = jax.vmap(arena.baseline.act, (None, 0, 0))(policy, carries, envs.obs)
+        return jax.vmap(arena.env.step)(envs, ctrl), carries
 
-    envs, _, _ = jax.lax.while_loop(is_running, body, (envs, memory, act_key))
+    envs, _ = jax.lax.while_loop(is_running, body, (envs, carries))
     sums = {f"sum_{name}": value.sum() for name, value in envs.metrics.items()}
     return sums | {"episodes": jnp.float32(num_episodes)}
 
@@ -169,7 +163,7 @@ def _compile(
     """Compiles training and evaluation ahead, so that the time it takes can be told."""
     # Shapes alone: a state that was restored is the same program's as a new one.
     shapes = jax.eval_shape(lambda: state)
-    policy, key = jax.eval_shape(lambda: (arena.system.policy(state), jax.random.key(0)))
+    policy, key = jax.eval_shape(lambda: (arena.baseline.policy(state), jax.random.key(0)))
     with progress.compiling("training"):
         advance = arena.advance.lower(shapes, config.log_rounds).compile()
     with progress.compiling("evaluation"):
@@ -194,7 +188,7 @@ def _finish(
     policies.save(
         run.path / policies.FOLDER,
         kind="baseline",
-        params=arena.system.policy(state),
+        params=arena.baseline.policy(state),
         meta={
             "method": config.method,
             "maze": config.maze,

@@ -136,7 +136,7 @@ def test_resuming_changes_nothing(finished, arena, tmp_path):
     with pytest.raises(base.UserError, match=r"num_steps = 1 is less than .* has walked: \d+"):
         baselines.train(dataclasses.replace(finished, run=run, resume=True, num_steps=1))
     assert (run / "config.json").read_text() == written
-    template = jax.eval_shape(arena.system.init, jax.random.key(0))
+    template = jax.eval_shape(arena.baseline.init, jax.random.key(0))
     states = [checkpoint.restore(path / "checkpoints", template)[1] for path in (finished.run, run)]
     for left, right in zip(*map(jax.tree.leaves, states), strict=True):
         if jax.dtypes.issubdtype(left.dtype, jax.dtypes.prng_key):
@@ -145,9 +145,9 @@ def test_resuming_changes_nothing(finished, arena, tmp_path):
 
 
 def test_advancing_keeps_all_types_so_that_it_compiles_once(arena):
-    system = arena.system
-    before = jax.eval_shape(system.init, jax.random.key(0))
-    after, _ = jax.eval_shape(system.advance, before)
+    baseline = arena.baseline
+    before = jax.eval_shape(baseline.init, jax.random.key(0))
+    after, _ = jax.eval_shape(baseline.advance, before)
     assert jax.tree.structure(before) == jax.tree.structure(after)
     for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
         assert (old.shape, old.dtype, old.weak_type) == (new.shape, new.dtype, new.weak_type)
@@ -192,7 +192,7 @@ def test_goals_may_lie_anywhere_in_training_but_not_in_evaluations(tmp_path, goa
     arena = baselines.make_arena(config_of("droq", str(path), tmp_path / "run", **options))
     keys = jax.random.split(jax.random.key(0), 40)
     evaluated = jax.vmap(arena.env.reset)(keys)
-    trained = arena.system.init(jax.random.key(0)).envs
+    trained = arena.baseline.init(jax.random.key(0)).envs
     for envs, found in ((evaluated, {1.5}), (trained, expected)):
         assert set((envs.obs.goal_xy[:, 0] - 3.0).tolist()) == found
 

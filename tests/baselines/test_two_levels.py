@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import pytest
 
 from eihrl_jax import mazes
-from eihrl_jax.baselines import interface as system_lib
+from eihrl_jax.baselines import interface
 from eihrl_jax.config import hess, higl, presets
 from eihrl_jax.envs import goal_maze
 from eihrl_jax.mazes import generators
@@ -55,7 +55,7 @@ EXPLORING = {
 @pytest.mark.parametrize("method", ["hiro", "hrac", "higl", "hess"])
 def test_both_levels_together_learn_to_walk_straight_to_any_goal(method):
     arena = make_arena(method)
-    init = jax.jit(arena.system.init)
+    init = jax.jit(arena.baseline.init)
     least, most = (0.85, 9.0) if method == "hess" else (0.95, 7.0)
     outcomes = []
     for seed in range(NUM_SEEDS):
@@ -68,7 +68,7 @@ def test_both_levels_together_learn_to_walk_straight_to_any_goal(method):
     assert steps <= most
     if method != "hess":
         # Every step costs 0.1, but for the last one; who never arrives pays 2.
-        value = start_value(arena.env, arena.system, state)
+        value = start_value(arena.env, arena.baseline, state)
         assert value == pytest.approx(-0.1 * (steps - 1.0), abs=0.3)
 
 
@@ -85,21 +85,21 @@ def make_arena(method):
     )
     floor = generators.goals_anywhere(mazes.parse(FLOOR, num_decisions=NUM_DECISIONS))
     env = goal_maze.GoalMaze(sled.Disc(), floor)
-    system = system_lib.make(env, 2, env.side_xy, NUM_DECISIONS * sled.K, options)
-    return baselines.Arena(method, env, env.side_xy, system)
+    baseline = interface.make(env, 2, env.side_xy, NUM_DECISIONS * sled.K, options)
+    return baselines.Arena(method, env, env.side_xy, baseline)
 
 
 def train(arena, state):
     """Returns how often and in how many steps a trained baseline arrives, and its state."""
     state, _ = arena.advance(state, ROUNDS[arena.title])
-    found = arena.evaluate(arena.system.policy(state), jax.random.key(7), 50)
+    found = arena.evaluate(arena.baseline.policy(state), jax.random.key(7), 50)
     return float(found["sum_success"]) / 50, float(found["sum_steps"]) / 50, state
 
 
-def start_value(env, system, state):
+def start_value(env, baseline, state):
     """Returns the mean of what the manager's first subgoals are worth to it."""
     obs = jax.vmap(env.reset)(jax.random.split(jax.random.key(3), 50)).obs
-    features = jax.vmap(system._manager_features)(obs)
-    level, manager = system._learning.manager, state.learned.manager
+    features = jax.vmap(baseline._manager_features)(obs)
+    level, manager = baseline._learning.manager, state.learned.manager
     subgoal = level.act(manager.actor_params, features)
     return float(jnp.mean(level.values(manager.critic_params, features, subgoal).min(0)))

@@ -43,7 +43,7 @@ def test_hess_tells_its_metrics_some_twenty_times(maze, row, tmp_path):
     run = compare_baselines.Run("hess", maze, "sparse", 0)
     options = compare_baselines.baseline_options(compare_baselines.CompareConfig(out=tmp_path), run)
     arena = baselines.make_arena(options)
-    assert arena.system.steps_per_round * options.log_rounds == row
+    assert arena.baseline.steps_per_round * options.log_rounds == row
 
 
 def test_a_budget_of_too_few_episodes_is_named_before_anything_is_trained(tmp_path):

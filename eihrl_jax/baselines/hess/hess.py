@@ -15,7 +15,7 @@ from eihrl_jax.baselines.hess import episodes as episodes_lib
 from eihrl_jax.baselines.hess import exploration, learning, representation
 from eihrl_jax.config import hess as config_lib
 
-Policy = dict[str, Any]
+Policy = dict[str, base.Params]
 """What acts: parameters of `manager`, `controller` and `representation`."""
 
 _RECENT = 0.2
@@ -65,7 +65,7 @@ class Chosen(struct.PyTreeNode):
     is_exploring: Bool[Array, ""]
 
 
-class HessMemory(struct.PyTreeNode):
+class HessCarry(struct.PyTreeNode):
     """What is remembered between control steps.
 
     Attributes:
@@ -178,22 +178,22 @@ class Hess:
             "representation": state.learned.space.params,
         }
 
-    def start(self) -> HessMemory:
-        """Returns what the policy remembers at an episode's beginning."""
-        return HessMemory(subgoal=jnp.zeros(2), steps_left=jnp.int32(0))
+    def start(self) -> HessCarry:
+        """Returns the carry at the beginning of an episode."""
+        return HessCarry(subgoal=jnp.zeros(2), steps_left=jnp.int32(0))
 
     def act(
-        self, policy: Policy, memory: HessMemory, obs: base.GoalObs, key: Key[Array, ""]
-    ) -> tuple[Float[Array, " nu"], HessMemory]:
-        """Returns controls in [-1, 1] without exploration, and what is to be remembered."""
-        is_new = memory.steps_left == 0
+        self, policy: Policy, carry: HessCarry, obs: base.GoalObs
+    ) -> tuple[Float[Array, " nu"], HessCarry]:
+        """Returns controls in [-1, 1] without exploration, and the carry of the next step."""
+        is_new = carry.steps_left == 0
         action = self._learning.manager.mode(policy["manager"], self._manager_features(obs))
         place = self._learning.space.place(policy["representation"], self.see(obs))
-        subgoal = jnp.where(is_new, place + action, memory.subgoal)
+        subgoal = jnp.where(is_new, place + action, carry.subgoal)
         features = jnp.concatenate([self.see(obs), place, subgoal])
-        left = jnp.where(is_new, jnp.int32(self.options.period), memory.steps_left) - 1
+        left = jnp.where(is_new, jnp.int32(self.options.period), carry.steps_left) - 1
         ctrl = self._learning.controller.act(policy["controller"], features)
-        return ctrl, HessMemory(subgoal=subgoal, steps_left=left)
+        return ctrl, HessCarry(subgoal=subgoal, steps_left=left)
 
     def see(self, obs: base.GoalObs) -> Float[Array, " F"]:
         """Returns what both levels see: x and y from the arena's centre, and the robot."""

@@ -34,11 +34,11 @@ class HiglState(struct.PyTreeNode):
     num_steps: Int[Array, ""]
 
 
-Policy = dict[str, Any]
+Policy = dict[str, base.Params]
 """What acts: parameters of the actors `manager` and `controller`."""
 
 
-class HiglMemory(struct.PyTreeNode):
+class HiglCarry(struct.PyTreeNode):
     """What is remembered between control steps.
 
     Attributes:
@@ -140,24 +140,23 @@ class Higl:
         """Returns what acts."""
         return _policy(state.learned)
 
-    def start(self) -> HiglMemory:
-        """Returns what the policy remembers at an episode's beginning."""
+    def start(self) -> HiglCarry:
+        """Returns the carry at the beginning of an episode."""
         zero = jnp.zeros(learning.NUM_SUBGOAL)
-        return HiglMemory(subgoal=zero, xy=zero, steps_left=jnp.int32(0))
+        return HiglCarry(subgoal=zero, xy=zero, steps_left=jnp.int32(0))
 
     def act(
-        self, policy: Policy, memory: HiglMemory, obs: base.GoalObs, key: Key[Array, ""]
-    ) -> tuple[Float[Array, " nu"], HiglMemory]:
-        """Returns controls in [-1, 1] without exploration, and what is to be remembered."""
-        del key
-        is_new = memory.steps_left == 0
+        self, policy: Policy, carry: HiglCarry, obs: base.GoalObs
+    ) -> tuple[Float[Array, " nu"], HiglCarry]:
+        """Returns controls in [-1, 1] without exploration, and the carry of the next step."""
+        is_new = carry.steps_left == 0
         chosen = self._learning.manager.act(policy["manager"], self._manager_features(obs))
-        subgoal = jnp.where(is_new, chosen, memory.subgoal + memory.xy - obs.xy)
+        subgoal = jnp.where(is_new, chosen, carry.subgoal + carry.xy - obs.xy)
         features = landmarks.controller_features(self.see(obs), subgoal)
         action = self._learning.controller.act(policy["controller"], features)
-        left = jnp.where(is_new, jnp.int32(self.options.period), memory.steps_left) - 1
-        memory = HiglMemory(subgoal=subgoal, xy=obs.xy, steps_left=left)
-        return action / self.options.controller.reach, memory
+        left = jnp.where(is_new, jnp.int32(self.options.period), carry.steps_left) - 1
+        carry = HiglCarry(subgoal=subgoal, xy=obs.xy, steps_left=left)
+        return action / self.options.controller.reach, carry
 
     def see(self, obs: base.GoalObs) -> Float[Array, " F"]:
         """Returns what both levels see: x and y from the arena's centre, the robot, the time."""
