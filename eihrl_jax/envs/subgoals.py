@@ -78,8 +78,8 @@ def load(folder: pathlib.Path) -> Statistics:
     return found
 
 
-class Walking(NamedTuple):
-    """What oracle movement imitates.
+class Gait(NamedTuple):
+    """How a robot carries out subgoals, as oracle movement imitates it.
 
     Attributes:
       step: units per subgoal.
@@ -92,14 +92,13 @@ class Walking(NamedTuple):
     bank: postures.PostureBank
 
 
-def walking(
-    robot: robot_lib.Robot, measured: pathlib.Path | None, step: float, sigma: float
-) -> Walking:
-    """Returns how a robot walks as it was measured, or else as asked for with shipped postures.
+def gait(robot: robot_lib.Robot, measured: pathlib.Path | None, step: float, sigma: float) -> Gait:
+    """Returns the gait that was measured of a robot, or else `step` and `sigma` as they are given.
 
     Args:
       robot: the robot.
-      measured: folder of a measurement, None for none.
+      measured: folder of a measurement; None: none, and the postures are those of
+        `postures.for_robot`.
       step: units per subgoal, without a measurement.
       sigma: standard deviation per axis without a measurement, units.
 
@@ -107,10 +106,10 @@ def walking(
       base.UserError: the measurement can't be read, or is another robot's.
     """
     if measured is None:
-        return Walking(step, sigma, postures.for_robot(robot))
+        return Gait(step, sigma, postures.for_robot(robot))
     statistics = load(measured)
     bank = postures.load(measured / POSTURES, robot)
-    return Walking(statistics.along_mean, statistics.sigma, bank)
+    return Gait(statistics.along_mean, statistics.sigma, bank)
 
 
 def summarise(walked: dict[str, Float[Array, "T N"]]) -> dict[str, Float[Array, ""]]:

@@ -173,10 +173,9 @@ def _envs(
     """Builds one robot's environment for each view: walking with `low`, or moved by the oracle."""
     reward = options.reward
     if low is None:
-        walking = subgoals.walking(robot, options.measured, options.step, options.sigma)
+        gait = subgoals.gait(robot, options.measured, options.step, options.sigma)
         return [
-            loading.oracle_env(robot, stacked, view, walking=walking, reward=reward)
-            for view in views
+            loading.oracle_env(robot, stacked, view, gait=gait, reward=reward) for view in views
         ]
     low_policy = loading.load_low(low, robot)
     engine = engines.make(robot, options.engine)

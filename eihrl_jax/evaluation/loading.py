@@ -163,7 +163,7 @@ def oracle_env(
     stacked: mazes.Maze,
     view: raster.View,
     *,
-    walking: subgoals.Walking,
+    gait: subgoals.Gait,
     reward: base.Reward = "sparse",
 ) -> RecordableOracle:
     """Returns oracle movement in several mazes.
@@ -172,23 +172,21 @@ def oracle_env(
       robot: whose postures are shown and whose radius stops at walls.
       stacked: mazes with a leading axis.
       view: what the high level sees.
-      walking: what the oracle imitates.
+      gait: what the oracle imitates.
       reward: "sparse" or "dense".
 
     Raises:
       base.UserError: a number is out of its limits.
     """
-    movement = oracle_maze.Movement(
-        step=walking.step, sigma=walking.sigma, body_radius=robot.body_radius
-    )
+    movement = oracle_maze.Movement(step=gait.step, sigma=gait.sigma, body_radius=robot.body_radius)
     env = oracle_maze.OracleMaze(
         stacked,
-        postures.footprints(robot, walking.bank, view),
+        postures.footprints(robot, gait.bank, view),
         view=view,
         movement=movement,
         reward=reward,
     )
-    return RecordableOracle(env, walking.bank.qpos)
+    return RecordableOracle(env, gait.bank.qpos)
 
 
 def full_env(

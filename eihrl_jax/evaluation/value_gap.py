@@ -114,8 +114,8 @@ def _oracle_law(sigma: float) -> displacement.Displacement:
 def _oracle(stacked: mazes.Maze, high: loading.HighLevel, sigma: float) -> rollouts.Recordable:
     """Returns oracle movement with one noise level."""
     robot = robots.load(ORACLE_ROBOT)
-    walking = subgoals.Walking(base.CELL, sigma, postures.for_robot(robot))
-    return loading.oracle_env(robot, stacked, high.view, walking=walking)
+    gait = subgoals.Gait(base.CELL, sigma, postures.for_robot(robot))
+    return loading.oracle_env(robot, stacked, high.view, gait=gait)
 
 
 def _walking(stacked: mazes.Maze, high: loading.HighLevel, name: str) -> rollouts.Recordable:

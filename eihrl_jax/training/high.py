@@ -98,7 +98,7 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
     """
     robot = robots.load(task.robot)
     view = raster.View(extent=task.extent, pixels=task.pixels, map_radius=task.map_radius)
-    step, sigma, bank = subgoals.walking(robot, task.measured, task.step, task.sigma)
+    step, sigma, bank = subgoals.gait(robot, task.measured, task.step, task.sigma)
     movement = oracle_maze.Movement(
         step=step,
         sigma=sigma,

@@ -130,8 +130,8 @@ def random_walk(num_episodes, *, seeds=(0,), num_recorded=0):
     chosen = {"random": mazes.load("random")}
     view = raster.View()
     robot = robots.load("point")
-    walking = subgoals.walking(robot, None, 3.0, 0.0)
-    env = loading.oracle_env(robot, mazes.stack(list(chosen.values())), view, walking=walking)
+    gait = subgoals.gait(robot, None, 3.0, 0.0)
+    env = loading.oracle_env(robot, mazes.stack(list(chosen.values())), view, gait=gait)
     plan = rollouts.Plan(
         mazes=chosen, seeds=seeds, num_episodes=num_episodes, num_recorded=num_recorded
     )
@@ -169,8 +169,8 @@ def test_batches_change_nothing(monkeypatch):
 def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, monkeypatch):
     robot, chosen = robots.load("point"), {"u": mazes.load("u", num_decisions=2)}
     high = loading.load_high(str(folder / "high"))
-    walking = subgoals.walking(robot, None, 3.0, 0.0)
-    env = loading.oracle_env(robot, mazes.stack(list(chosen.values())), high.view, walking=walking)
+    gait = subgoals.gait(robot, None, 3.0, 0.0)
+    env = loading.oracle_env(robot, mazes.stack(list(chosen.values())), high.view, gait=gait)
     plan = rollouts.Plan(mazes=chosen, seeds=(0,), num_episodes=3, num_recorded=1)
     runner = rollouts.Runner(env, plan)
     compiled = []
