@@ -5,8 +5,10 @@ up, so row `i` and column `j` of the text lie around ((j + 1/2) * CELL, -(i + 1/
 are in MuJoCo units, called units.
 """
 
-from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, get_args, runtime_checkable
+from collections.abc import Mapping
+from typing import Generic, Literal, Protocol, TypeAlias, TypeVar, get_args, runtime_checkable
 
+import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Key, PyTree
 
@@ -56,6 +58,38 @@ class UserError(ValueError):
     """
 
 
+class Outcome(struct.PyTreeNode):
+    """What a step led to, its observation left out.
+
+    Attributes:
+      reward: float32, unitless.
+      terminated: the episode ended for good; nothing is to be expected beyond it.
+      truncated: the episode was cut by its time limit; never true together with `terminated`.
+    """
+
+    reward: Float[Array, ""]
+    terminated: Bool[Array, ""]
+    truncated: Bool[Array, ""]
+
+    @classmethod
+    def of_reset(cls) -> "Outcome":
+        """Returns what an episode begins with: no reward, and no end."""
+        return cls(jnp.float32(0.0), jnp.zeros((), bool), jnp.zeros((), bool))
+
+    @classmethod
+    def of_step(
+        cls, reward: Float[Array, ""], terminated: Bool[Array, ""], is_late: Bool[Array, ""]
+    ) -> "Outcome":
+        """Returns the outcome of a step; the time limit cuts what hasn't ended for good."""
+        return cls(reward, terminated, is_late & ~terminated)
+
+    def terminated_if(self, is_ended: Bool[Array, ""]) -> "Outcome":
+        """Returns the outcome, but of an episode that has ended for good where `is_ended`."""
+        return self.replace(
+            terminated=self.terminated | is_ended, truncated=self.truncated & ~is_ended
+        )
+
+
 class EnvState(struct.PyTreeNode, Generic[InnerT, ObsT]):
     """One environment at one moment, without batch axis; returned by `reset` and `step`.
 
@@ -64,9 +98,9 @@ class EnvState(struct.PyTreeNode, Generic[InnerT, ObsT]):
       obs: observation of this moment (after an auto-reset: of the new episode).
       final_obs: observation that the last action led to; differs from `obs` only right after an
         auto-reset, and is what a bootstrap at a time limit must use.
-      reward: scalar, unitless.
-      terminated: the episode ended for good; nothing is to be expected beyond it.
-      truncated: the episode was cut by its time limit; never true together with `terminated`.
+      reward: see `Outcome`, as are the next two.
+      terminated: the episode ended for good.
+      truncated: the episode was cut by its time limit.
       metrics: scalars with keys fixed at reset.
       key: random key of this environment.
     """
@@ -80,26 +114,61 @@ class EnvState(struct.PyTreeNode, Generic[InnerT, ObsT]):
     metrics: dict[str, Float[Array, ""]]
     key: Key[Array, ""]
 
+    @classmethod
+    def of(
+        cls,
+        *,
+        inner: InnerT,
+        obs: ObsT,
+        outcome: Outcome,
+        metrics: Mapping[str, Array],
+        key: Key[Array, ""],
+    ) -> "EnvState[InnerT, ObsT]":
+        """Puts together what `reset` and `step` return: nothing has begun anew yet.
+
+        Args:
+          inner: the environment's own pytree.
+          obs: of this moment, to which the last action led.
+          outcome: of the last action.
+          metrics: scalars of any type; stored as float32.
+          key: random key of this environment.
+        """
+        return cls(
+            inner=inner,
+            obs=obs,
+            final_obs=obs,
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            truncated=outcome.truncated,
+            metrics={name: jnp.asarray(value, jnp.float32) for name, value in metrics.items()},
+            key=key,
+        )
+
+    @property
+    def is_over(self) -> Bool[Array, "*batch"]:
+        """Whether the episode has ended, either way; of a batch, one entry each."""
+        return self.terminated | self.truncated
+
 
 @runtime_checkable
-class Environment(Protocol):
+class Environment(Protocol[InnerT, ObsT]):
     """The contract between environments and learners: pure functions of one environment.
 
     Batches are made by the caller with `jax.vmap`, so that every environment works alone, in a
     batch, and inside `jax.lax.scan`.
     """
 
-    def reset(self, key: Key[Array, ""]) -> EnvState:
+    def reset(self, key: Key[Array, ""]) -> EnvState[InnerT, ObsT]:
         """Draws a new episode; the key is consumed."""
         ...
 
-    def step(self, state: EnvState, action: Array) -> EnvState:
+    def step(self, state: EnvState[InnerT, ObsT], action: Array) -> EnvState[InnerT, ObsT]:
         """Advances one step. Does not reset: see `envs.wrappers.AutoReset`."""
         ...
 
 
 class GoalObs(struct.PyTreeNode):
-    """What a robot knows that is told where it is and where its goal is. P: its proprioception.
+    """What a robot knows to which its own position and its goal are told. P: proprioception.
 
     Attributes:
       xy: float32 [2], the torso's position, units.
@@ -115,7 +184,7 @@ class GoalObs(struct.PyTreeNode):
     time: Float[Array, ""]
 
 
-class Transition(struct.PyTreeNode):
+class Transition(struct.PyTreeNode, Generic[ObsT]):
     """One step as learners store it.
 
     Attributes:
@@ -126,8 +195,8 @@ class Transition(struct.PyTreeNode):
       next_obs: observation after the action, `final_obs` at an episode's end.
     """
 
-    obs: Any
+    obs: ObsT
     action: Array
     reward: Float[Array, ""]
     discount: Float[Array, ""]
-    next_obs: Any
+    next_obs: ObsT

@@ -16,19 +16,27 @@ def draw_pose(
 ) -> engine_lib.PhysicsState:
     """Returns the standing robot at `xy`, turned at random, its joints a little off."""
     robot, model = engine.robot, engine.model
-    stand = jnp.asarray(model.key_qpos[0], jnp.float32)
     yaw_key, qpos_key, qvel_key = jax.random.split(key, 3)
-    yaw = jax.random.uniform(yaw_key, (), minval=-jnp.pi, maxval=jnp.pi)
+
+    stand = jnp.asarray(model.key_qpos[0], jnp.float32)
     noise = jax.random.uniform(qpos_key, stand.shape, minval=-1.0, maxval=1.0)
     qpos = (stand + robot.qpos_noise * noise).at[:2].set(xy)
+    qvel = robot.qvel_noise * jax.random.normal(qvel_key, (model.nv,))
+
+    # The root itself gets no noise, only a heading.
+    yaw = jax.random.uniform(yaw_key, (), minval=-jnp.pi, maxval=jnp.pi)
     if robot.root == "free":
         zero = jnp.zeros_like(yaw)
         upright = jnp.stack([jnp.cos(yaw / 2), zero, zero, jnp.sin(yaw / 2)])
         qpos = qpos.at[2].set(stand[2]).at[3:7].set(upright)
     elif robot.root == "planar":
         qpos = qpos.at[2].set(yaw)
-    qvel = robot.qvel_noise * jax.random.normal(qvel_key, (model.nv,))
     return engine_lib.reset(qpos, qvel)
+
+
+def facing_east(physics: engine_lib.PhysicsState) -> engine_lib.PhysicsState:
+    """Returns a robot on a free root turned upright towards x+, the rest of it as it was."""
+    return physics.replace(qpos=physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0])))
 
 
 def move(
@@ -58,8 +66,7 @@ def advance(
     stepped = engine.step(physics, ctrl, walls_xy, is_running)
     numbers = jnp.concatenate([stepped.qpos, stepped.qvel, ctrl])
     is_broken = is_running & ~jnp.isfinite(numbers).all()
-    kept = tree.where(is_broken, physics, stepped)
-    return kept, is_broken
+    return tree.where(is_broken, physics, stepped), is_broken
 
 
 def is_fallen(qpos: Float[Array, " nq"], robot: robot_lib.Robot) -> Bool[Array, ""]:

@@ -13,6 +13,8 @@ fall ends nothing.
 Reset: as in `physics_maze`.
 """
 
+from typing import TypeAlias
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -20,9 +22,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
 from eihrl_jax.envs import body as body_lib
-from eihrl_jax.envs import task
+from eihrl_jax.envs import task, wrappers
 from eihrl_jax.mazes import maze as maze_lib
-from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
 
 
@@ -42,6 +43,9 @@ class GoalMazeState(struct.PyTreeNode):
     total_reward: Float[Array, ""]
     has_fallen: Bool[Array, ""]
     is_broken: Bool[Array, ""]
+
+
+EnvState: TypeAlias = base.EnvState[GoalMazeState, base.GoalObs]
 
 
 class GoalMaze:
@@ -67,7 +71,7 @@ class GoalMaze:
         """
         self.robot = engine.robot
         self._engine = engine
-        self._reward = reward
+        self._reward: base.Reward = reward
         limit = mazes.num_decisions * self.robot.steps_per_subgoal
         self.table = task.prepare(mazes.replace(num_decisions=limit))
 
@@ -77,52 +81,41 @@ class GoalMaze:
         num_rows, num_columns = self.table.mazes.wall.shape[-2:]
         return round(num_columns * base.CELL), round(num_rows * base.CELL)
 
-    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, pose_key = jax.random.split(key, 3)
         nav, xy = task.start(self.table, start_key, maze)
-        no, zero = jnp.zeros((), bool), jnp.float32(0.0)
+        no = jnp.zeros((), bool)
         inner = GoalMazeState(
             nav=nav,
             physics=body_lib.draw_pose(self._engine, xy, pose_key),
-            total_reward=zero,
+            total_reward=jnp.float32(0.0),
             has_fallen=no,
             is_broken=no,
         )
-        outcome = task.Outcome(reward=zero, terminated=no, truncated=no)
-        return self._state(inner, outcome, next_key)
+        return self._state(inner, base.Outcome.of_reset(), next_key)
 
-    def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
+    def step(self, state: EnvState, action: Float[Array, " nu"]) -> EnvState:
         """Advances one control step; an episode that is over rests, and pays nothing."""
-        inner: GoalMazeState = state.inner
-        is_running = ~(state.terminated | state.truncated)
+        inner = state.inner
         maze = task.drawn_maze(self.table, inner.nav)
-        physics, is_broken = body_lib.move(self._engine, inner.physics, action, maze, is_running)
-        xy = physics.qpos[:2]
-        nav, outcome = task.advance(self.table, inner.nav, xy[None])
-        if self._reward == "dense":
-            outcome = task.dense(self.table, nav, xy, outcome)
-        outcome = outcome.replace(
-            terminated=outcome.terminated | is_broken, truncated=outcome.truncated & ~is_broken
+        physics, is_broken = body_lib.move(
+            self._engine, inner.physics, action, maze, ~state.is_over
         )
-        moved = GoalMazeState(
+
+        nav, outcome = task.advance(self.table, inner.nav, physics.qpos[None, :2], self._reward)
+        outcome = outcome.terminated_if(is_broken)
+        inner = GoalMazeState(
             nav=nav,
             physics=physics,
             total_reward=inner.total_reward + outcome.reward,
             has_fallen=inner.has_fallen | body_lib.is_fallen(physics.qpos, self.robot),
             is_broken=is_broken,
         )
-        rested = state.replace(reward=jnp.float32(0.0))
-        return tree.where(
-            is_running,
-            self._state(moved, outcome, state.key),
-            rested,
-        )
+        return wrappers.rest_if_over(state, self._state(inner, outcome, state.key))
 
-    def _state(
-        self, inner: GoalMazeState, outcome: task.Outcome, key: Key[Array, ""]
-    ) -> base.EnvState:
-        """Puts together what `reset` and `step` return."""
+    def _state(self, inner: GoalMazeState, outcome: base.Outcome, key: Key[Array, ""]) -> EnvState:
+        """Observes and tells what `reset` and `step` led to."""
         steps = inner.nav.decisions.astype(jnp.float32)
         xy, success = inner.physics.qpos[:2], task.success(self.table, inner.nav)
         obs = base.GoalObs(
@@ -131,20 +124,12 @@ class GoalMaze:
             goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, inner.nav)),
             time=steps / base.TIME_UNIT,
         )
-        return base.EnvState(
-            inner=inner,
-            obs=obs,
-            final_obs=obs,
-            reward=outcome.reward,
-            terminated=outcome.terminated,
-            truncated=outcome.truncated,
-            metrics={
-                "success": success,
-                "decisions": jnp.ceil(steps / self.robot.steps_per_subgoal),
-                "steps": steps,
-                "return": inner.total_reward,
-                "fell": inner.has_fallen.astype(jnp.float32),
-                "broke_down": inner.is_broken.astype(jnp.float32),
-            },
-            key=key,
-        )
+        metrics = {
+            "success": success,
+            "decisions": jnp.ceil(steps / self.robot.steps_per_subgoal),
+            "steps": steps,
+            "return": inner.total_reward,
+            "fell": inner.has_fallen,
+            "broke_down": inner.is_broken,
+        }
+        return base.EnvState.of(inner=inner, obs=obs, outcome=outcome, metrics=metrics, key=key)

@@ -4,6 +4,8 @@ Paper, Sec. 2 (eq. 1) and Sec. 3.2. `low_reward` pays a step, `experience` store
 makes the network's input of an observation.
 """
 
+from typing import TypeAlias
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -37,6 +39,9 @@ class LocomotionState(struct.PyTreeNode):
     subgoal_xy: Float[Array, "2"]
     direction: Int[Array, ""]
     step: Int[Array, ""]
+
+
+EnvState: TypeAlias = base.EnvState[LocomotionState, low_obs.LowObs]
 
 
 class Locomotion:
@@ -77,7 +82,7 @@ class Locomotion:
         self._episode_steps = episode_steps
         self._ends_at_fall = ends_at_fall
 
-    def reset(self, key: Key[Array, ""]) -> base.EnvState:
+    def reset(self, key: Key[Array, ""]) -> EnvState:
         """Draws a room, a start, a posture and a first subgoal."""
         key, room_key, start_key, pose_key, direction_key = jax.random.split(key, 5)
         room = jax.random.randint(room_key, (), 0, self._rooms.wall.shape[0])
@@ -89,71 +94,63 @@ class Locomotion:
             direction=jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS),
             step=jnp.int32(0),
         )
-        obs = self._observe(inner)
-        zero, no = jnp.float32(0.0), jnp.zeros((), bool)
-        metrics: dict[str, Array] = {name: zero for name in METRICS}
-        return base.EnvState(
+        return base.EnvState.of(
             inner=inner,
-            obs=obs,
-            final_obs=obs,
-            reward=zero,
-            terminated=no,
-            truncated=no,
-            metrics=metrics,
+            obs=self._observe(inner),
+            outcome=base.Outcome.of_reset(),
+            metrics=dict.fromkeys(METRICS, jnp.float32(0.0)),
             key=key,
         )
 
-    def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
+    def step(self, state: EnvState, action: Float[Array, " nu"]) -> EnvState:
         """Advances one control step; gives a new subgoal where the old one's time is up."""
-        inner: LocomotionState = state.inner
+        inner = state.inner
+        before, k = inner.physics, self.robot.steps_per_subgoal
         key, direction_key = jax.random.split(state.key)
-        before_xy = inner.physics.qpos[:2]
-        room, always = self.room(inner.room), jnp.ones((), bool)
-        physics, is_broken = body_lib.move(self._engine, inner.physics, action, room, always)
-
-        displacement_xy = physics.qpos[:2] - inner.subgoal_xy
-        along, lateral = rotations.to_direction_frame(displacement_xy, inner.direction)
-        step = inner.step + 1
-        is_switch = step % self.robot.steps_per_subgoal == 0
-        drawn = jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS)
-        is_down = body_lib.is_fallen(physics.qpos, self.robot)
-        fell = is_down & (self._ends_at_fall | ~body_lib.is_fallen(inner.physics.qpos, self.robot))
-        terminated = (is_down & self._ends_at_fall) | is_broken
-        new_inner = inner.replace(
-            physics=physics,
-            subgoal_xy=jnp.where(is_switch, physics.qpos[:2], inner.subgoal_xy),
-            direction=jnp.where(is_switch, drawn, inner.direction),
-            step=step,
+        is_running = jnp.ones((), bool)
+        after, is_broken = body_lib.move(
+            self._engine, before, action, self.room(inner.room), is_running
         )
-        obs = self._observe(new_inner)
-        step_xy = physics.qpos[:2] - before_xy
-        gain = low_reward.step_reward(
-            before_xy - inner.subgoal_xy,
+
+        was_down, is_down = (body_lib.is_fallen(x.qpos, self.robot) for x in (before, after))
+        terminated = (is_down & self._ends_at_fall) | is_broken
+        step_xy = after.qpos[:2] - before.qpos[:2]
+        reward = low_reward.step_reward(
+            before.qpos[:2] - inner.subgoal_xy,
             step_xy,
             state.obs.time_left,
             inner.direction,
             terminated,
             self._reward_options,
-            self.robot.steps_per_subgoal,
+            k,
         )
-        switched = (is_switch & ~terminated).astype(jnp.float32)
-        return base.EnvState(
-            inner=new_inner,
-            obs=obs,
-            final_obs=obs,
-            reward=gain,
-            terminated=terminated,
-            truncated=(step >= self._episode_steps) & ~terminated,
-            metrics={
-                "step_x": step_xy[0],
-                "step_y": step_xy[1],
-                "switched": switched,
-                "along": switched * along,
-                "lateral": switched * lateral,
-                "fell": fell.astype(jnp.float32),
-                "broke_down": is_broken.astype(jnp.float32),
-            },
-            key=key,
+        step = inner.step + 1
+        outcome = base.Outcome.of_step(reward, terminated, step >= self._episode_steps)
+
+        is_switch = step % k == 0
+        has_completed = (is_switch & ~terminated).astype(jnp.float32)
+        along, lateral = rotations.to_direction_frame(
+            after.qpos[:2] - inner.subgoal_xy, inner.direction
+        )
+        metrics = {
+            "step_x": step_xy[0],
+            "step_y": step_xy[1],
+            "switched": has_completed,
+            "along": has_completed * along,
+            "lateral": has_completed * lateral,
+            "fell": is_down & (self._ends_at_fall | ~was_down),
+            "broke_down": is_broken,
+        }
+
+        drawn = jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS)
+        inner = inner.replace(
+            physics=after,
+            subgoal_xy=jnp.where(is_switch, after.qpos[:2], inner.subgoal_xy),
+            direction=jnp.where(is_switch, drawn, inner.direction),
+            step=step,
+        )
+        return base.EnvState.of(
+            inner=inner, obs=self._observe(inner), outcome=outcome, metrics=metrics, key=key
         )
 
     def room(self, index: Int[Array, ""]) -> maze_lib.Maze:

@@ -16,6 +16,7 @@ Reset: maze, door, start and posture are drawn anew.
 import dataclasses
 import functools
 import math
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -80,6 +81,9 @@ class OracleMazeState(struct.PyTreeNode):
     total_reward: Float[Array, ""]
 
 
+EnvState: TypeAlias = base.EnvState[OracleMazeState, raster.Picture]
+
+
 class OracleMaze:
     """One maze, or a different one in every episode, with oracle movement."""
 
@@ -120,11 +124,11 @@ class OracleMaze:
             )
         self.view = view
         self.movement = movement
-        self.reward = reward
+        self.reward: base.Reward = reward
         pack = functools.partial(raster.pack, view=view)
         self._silhouettes = jax.vmap(pack)(jnp.asarray(silhouettes))
 
-    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, posture_key = jax.random.split(key, 3)
         nav, xy = task.start(self.table, start_key, maze)
@@ -134,23 +138,19 @@ class OracleMaze:
             posture=self._pick_posture(jax.random.uniform(posture_key)),
             total_reward=jnp.float32(0.0),
         )
-        outcome = task.Outcome(
-            reward=jnp.float32(0.0), terminated=jnp.array(False), truncated=jnp.array(False)
-        )
-        return self._state(inner, outcome, next_key)
+        return self._state(inner, base.Outcome.of_reset(), next_key)
 
-    def step(self, state: base.EnvState, action: Int[Array, ""]) -> base.EnvState:
+    def step(self, state: EnvState, action: Int[Array, ""]) -> EnvState:
         """Moves the robot in direction `action`."""
+        inner = state.inner
         next_key, draw_key = jax.random.split(state.key)
         # One draw for offset and posture, because on CPU random bits are a large part of the cost.
         draws = jax.random.uniform(draw_key, (3,), minval=_ABOVE_MINUS_ONE, maxval=1.0)
         noise = self.movement.sigma * math.sqrt(2.0) * jax.lax.erf_inv(draws[:2])
-        table, inner = self.table, state.inner
         displacement = self.movement.step * jnp.array(base.DIRECTIONS_XY)[action] + noise
         path_xy = self.move(inner.nav, inner.xy, displacement)
-        nav, outcome = task.advance(table, inner.nav, path_xy)
-        if self.reward == "dense":
-            outcome = task.dense(table, nav, path_xy[-1], outcome)
+
+        nav, outcome = task.advance(self.table, inner.nav, path_xy, self.reward)
         inner = OracleMazeState(
             nav=nav,
             xy=path_xy[-1],
@@ -159,7 +159,7 @@ class OracleMaze:
         )
         return self._state(inner, outcome, next_key)
 
-    def observe(self, inner: OracleMazeState) -> Bool[Array, "P P C"]:
+    def observe(self, inner: OracleMazeState) -> raster.Picture:
         """Draws what the high level sees."""
         silhouette = self._silhouettes[inner.posture]
         return task.observe(self.table, inner.nav, inner.xy, silhouette, self.view)
@@ -198,7 +198,7 @@ class OracleMaze:
         return path_xy
 
     def _is_blocked(self, nav: task.Navigation, edge: Float[Array, "2 2"]) -> Bool[Array, ""]:
-        """Tells whether one of the ends of the body's leading edge would be in a wall."""
+        """Returns whether one of the ends of the body's leading edge would be in a wall."""
         one, other = task.code_at(self.table, nav, edge)
         return (one | other) >= maze_lib.WALL
 
@@ -207,22 +207,15 @@ class OracleMaze:
         return task.pick(uniform, jnp.int32(self._silhouettes.shape[0]))
 
     def _state(
-        self, inner: OracleMazeState, outcome: task.Outcome, key: Key[Array, ""]
-    ) -> base.EnvState:
-        """Puts together what `reset` and `step` return."""
+        self, inner: OracleMazeState, outcome: base.Outcome, key: Key[Array, ""]
+    ) -> EnvState:
+        """Observes and tells what `reset` and `step` led to."""
         inner = inner.replace(nav=task.look(self.table, inner.nav, inner.xy, self.view))
-        obs = self.observe(inner)
-        return base.EnvState(
-            inner=inner,
-            obs=obs,
-            final_obs=obs,
-            reward=outcome.reward,
-            terminated=outcome.terminated,
-            truncated=outcome.truncated,
-            metrics={
-                "success": task.success(self.table, inner.nav),
-                "decisions": inner.nav.decisions.astype(jnp.float32),
-                "return": inner.total_reward,
-            },
-            key=key,
+        metrics = {
+            "success": task.success(self.table, inner.nav),
+            "decisions": inner.nav.decisions,
+            "return": inner.total_reward,
+        }
+        return base.EnvState.of(
+            inner=inner, obs=self.observe(inner), outcome=outcome, metrics=metrics, key=key
         )

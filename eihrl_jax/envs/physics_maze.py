@@ -12,6 +12,8 @@ Reset: maze, door and start are drawn anew; the robot stands there, turned at ra
 little off.
 """
 
+from typing import TypeAlias
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -77,6 +79,9 @@ class PhysicsMazeState(struct.PyTreeNode):
     total_reward: Float[Array, ""]
 
 
+EnvState: TypeAlias = base.EnvState[PhysicsMazeState, raster.Picture]
+
+
 class PhysicsMaze:
     """One maze, or a different one in every episode, with a robot moved by its controls.
 
@@ -103,11 +108,11 @@ class PhysicsMaze:
         self.robot = engine.robot
         self.table = task.prepare(mazes, view.margin)
         self.view = view
-        self._reward = reward
+        self._reward: base.Reward = reward
         self._engine = engine
         self._capsules = kinematics.capsules(engine.model)
 
-    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, pose_key = jax.random.split(key, 3)
         nav, xy = task.start(self.table, start_key, maze)
@@ -121,24 +126,20 @@ class PhysicsMaze:
             has_fallen=no,
             is_broken=no,
         )
-        zero = jnp.float32(0.0)
-        outcome = task.Outcome(reward=zero, terminated=no, truncated=no)
-        return self._state(
-            PhysicsMazeState(nav=nav, body=body, total_reward=zero), outcome, next_key
-        )
+        inner = PhysicsMazeState(nav=nav, body=body, total_reward=jnp.float32(0.0))
+        return self._state(inner, base.Outcome.of_reset(), next_key)
 
-    def begin(self, state: base.EnvState, direction: Int[Array, ""]) -> tuple[Subgoal, Body]:
+    def begin(self, state: EnvState, direction: Int[Array, ""]) -> tuple[Subgoal, Body]:
         """Begins a decision; in an episode that is over the robot rests through it."""
-        inner: PhysicsMazeState = state.inner
+        inner = state.inner
         subgoal = Subgoal(
             maze=task.drawn_maze(self.table, inner.nav),
             nav=inner.nav,
             start_xy=inner.body.physics.qpos[:2],
             direction=direction,
         )
-        is_running = ~(state.terminated | state.truncated)
         steps_left = jnp.int32(self.robot.steps_per_subgoal)
-        return subgoal, inner.body.replace(is_running=is_running, steps_left=steps_left)
+        return subgoal, inner.body.replace(is_running=~state.is_over, steps_left=steps_left)
 
     def low_obs(self, subgoal: Subgoal, body: Body) -> low_obs.LowObs:
         """Returns what the low level knows, see `low_obs.observe`."""
@@ -155,21 +156,21 @@ class PhysicsMaze:
         physics, is_broken = body_lib.move(
             self._engine, body.physics, ctrl, subgoal.maze, body.is_running
         )
+        # Only to know which goals have been visited: `end` counts the decision and pays for it.
         nav = subgoal.nav.replace(visited=body.visited)
-        nav, outcome = task.advance(self.table, nav, physics.qpos[None, :2])
-        is_done = outcome.terminated if self._reward == "sparse" else jnp.zeros((), bool)
+        nav, outcome = task.advance(self.table, nav, physics.qpos[None, :2], self._reward)
         is_fallen = body_lib.is_fallen(physics.qpos, self.robot)
         return Body(
             physics=physics,
             visited=nav.visited,
             steps_left=body.steps_left - 1,
-            is_running=body.is_running & ~is_broken & ~is_done,
+            is_running=body.is_running & ~is_broken & ~outcome.terminated,
             is_fallen=is_fallen,
             has_fallen=body.has_fallen | is_fallen,
             is_broken=body.is_broken | is_broken,
         )
 
-    def end(self, state: base.EnvState, body: Body, path_xy: Float[Array, "T 2"]) -> base.EnvState:
+    def end(self, state: EnvState, body: Body, path_xy: Float[Array, "T 2"]) -> EnvState:
         """Ends a decision: pays the goals entered, counts it, and looks around.
 
         Args:
@@ -177,44 +178,31 @@ class PhysicsMaze:
           body: the robot after it.
           path_xy: torso positions after each control step, units.
         """
-        inner: PhysicsMazeState = state.inner
-        nav, outcome = task.advance(self.table, inner.nav, path_xy)
-        if self._reward == "dense":
-            outcome = task.dense(self.table, nav, path_xy[-1], outcome)
-        outcome = outcome.replace(
-            terminated=outcome.terminated | body.is_broken,
-            truncated=outcome.truncated & ~body.is_broken,
-        )
-        inner = PhysicsMazeState(
-            nav=nav, body=body, total_reward=inner.total_reward + outcome.reward
-        )
+        nav, outcome = task.advance(self.table, state.inner.nav, path_xy, self._reward)
+        outcome = outcome.terminated_if(body.is_broken)
+        total_reward = state.inner.total_reward + outcome.reward
+        inner = PhysicsMazeState(nav=nav, body=body, total_reward=total_reward)
         return self._state(inner, outcome, state.key)
 
     def _state(
-        self, inner: PhysicsMazeState, outcome: task.Outcome, key: Key[Array, ""]
-    ) -> base.EnvState:
-        """Puts together what `reset` and `end` return."""
-        xy = inner.body.physics.qpos[:2]
-        inner = inner.replace(nav=task.look(self.table, inner.nav, xy, self.view))
-        start, end, radius = self._capsules(inner.body.physics.qpos)
-        silhouette = raster.footprint(
-            start[:, :2] - xy[None], end[:, :2] - xy[None], radius, self.view
-        )
+        self, inner: PhysicsMazeState, outcome: base.Outcome, key: Key[Array, ""]
+    ) -> EnvState:
+        """Observes and tells what `reset` and `end` led to."""
+        qpos = inner.body.physics.qpos
+        inner = inner.replace(nav=task.look(self.table, inner.nav, qpos[:2], self.view))
+        silhouette = raster.footprint(self._capsules(qpos), qpos[:2], self.view)
         packed = raster.pack(silhouette, self.view)
-        obs = task.observe(self.table, inner.nav, xy, packed, self.view)
-        return base.EnvState(
+        metrics = {
+            "success": task.success(self.table, inner.nav),
+            "decisions": inner.nav.decisions,
+            "return": inner.total_reward,
+            "fell": inner.body.has_fallen,
+            "broke_down": inner.body.is_broken,
+        }
+        return base.EnvState.of(
             inner=inner,
-            obs=obs,
-            final_obs=obs,
-            reward=outcome.reward,
-            terminated=outcome.terminated,
-            truncated=outcome.truncated,
-            metrics={
-                "success": task.success(self.table, inner.nav),
-                "decisions": inner.nav.decisions.astype(jnp.float32),
-                "return": inner.total_reward,
-                "fell": inner.body.has_fallen.astype(jnp.float32),
-                "broke_down": inner.body.is_broken.astype(jnp.float32),
-            },
+            obs=task.observe(self.table, inner.nav, qpos[:2], packed, self.view),
+            outcome=outcome,
+            metrics=metrics,
             key=key,
         )

@@ -129,9 +129,7 @@ def footprints(
     to_capsules = kinematics.capsules(scene.build(robot))
 
     def draw(qpos: Float[Array, " nq"]) -> Bool[Array, "P P"]:
-        start, end, radius = to_capsules(qpos)
-        torso_xy = qpos[None, :2]
-        return raster.footprint(start[:, :2] - torso_xy, end[:, :2] - torso_xy, radius, view)
+        return raster.footprint(to_capsules(qpos), qpos[:2], view)
 
     return jax.jit(lambda rows: jax.lax.map(draw, rows, batch_size=_CHUNK))(bank.qpos)
 

@@ -14,6 +14,7 @@ mask`. On CPU this is several times as fast as looking up the cell of every pixe
 
 import dataclasses
 import math
+from typing import TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -22,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 from eihrl_jax import base
 from eihrl_jax.config import checks
 from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.physics import kinematics
 
 MIN_EXTENT, MAX_EXTENT = base.CELL, 15 * base.CELL
 """Limits of a view's side, in units: the cells of one row have to fit into half a word."""
@@ -34,6 +36,9 @@ MAX_MAP_RADIUS = 32
 
 _WORD = 32
 _GOAL_SHIFT = 16
+
+Picture: TypeAlias = Bool[Array, "n n C"]
+"""A patch of n pixels or a map of n cells a side, see `View.obs_shape`."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -94,24 +99,24 @@ class View:
 
 
 def footprint(
-    start_xy: Float[Array, "G 2"],
-    end_xy: Float[Array, "G 2"],
-    radius: Float[Array, "G"],
-    view: View,
+    capsules: kinematics.Capsules, torso_xy: Float[Array, "2"], view: View
 ) -> Bool[Array, "P P"]:
-    """Draws a robot's silhouette from its capsules seen from above.
+    """Draws a robot's silhouette from its capsules seen from above, the torso in the middle.
 
     A pixel is drawn where a capsule touches the disc inscribed in it, so that a leg thinner than a
     pixel leaves a line without gaps.
 
     Args:
-      start_xy: one end of each capsule's axis, relative to the torso, units.
-      end_xy: the other end.
-      radius: radius of each capsule, units.
+      capsules: the robot's geoms, units.
+      torso_xy: the torso's position, units.
       view: extent and resolution.
     """
+    start, end, radius = capsules
+    start_xy, end_xy = start[:, :2] - torso_xy[None], end[:, :2] - torso_xy[None]
     offsets = jnp.asarray(view.offsets())
     pixel_xy = jnp.stack(jnp.meshgrid(offsets, -offsets), -1)[:, :, None]
+
+    # The distance of every pixel from the nearest point of every capsule's axis.
     axis = (end_xy - start_xy)[None, None]
     from_start = pixel_xy - start_xy[None, None]
     along = (from_start * axis).sum(-1) / jnp.maximum((axis**2).sum(-1), 1e-12)
@@ -191,7 +196,7 @@ def patch(
 def in_sight(
     shape: tuple[int, int], margin: int, xy: Float[Array, "2"], view: View
 ) -> Bool[Array, "H W"]:
-    """Tells which cells of a grid the square at `xy` touches.
+    """Returns which cells of a grid the square at `xy` touches.
 
     Args:
       shape: of the grid, its margin included.
@@ -227,7 +232,7 @@ def draw_map(
 
 
 def _is_unvisited(codes: UInt8[Array, "*k"], visited: Bool[Array, "9"]) -> Bool[Array, "*k"]:
-    """Tells which cells belong to a goal that hasn't been paid."""
+    """Returns which cells belong to a goal that hasn't been paid."""
     unvisited = _pack_bits(~visited) << 1  # bit g for goal g, bit 0 for cells without goal
     return ((unvisited >> (codes % maze_lib.WALL).astype(jnp.uint32)) & 1).astype(bool)
 

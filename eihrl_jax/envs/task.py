@@ -73,20 +73,6 @@ class Navigation(struct.PyTreeNode):
     seen: Bool[Array, "H W"] | None = None
 
 
-class Outcome(struct.PyTreeNode):
-    """What a decision led to.
-
-    Attributes:
-      reward: float32, number of goals entered for the first time (paper, App. D.1).
-      terminated: all goals have been visited.
-      truncated: the time limit was reached before.
-    """
-
-    reward: Float[Array, ""]
-    terminated: Bool[Array, ""]
-    truncated: Bool[Array, ""]
-
-
 def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
     """Prepares one maze, or several with a leading axis, for the task; host side.
 
@@ -143,50 +129,42 @@ def start(
 
 
 def advance(
-    table: MazeTable, nav: Navigation, path_xy: Float[Array, "T 2"]
-) -> tuple[Navigation, Outcome]:
-    """Counts one decision and pays the goals that the torso entered during it.
+    table: MazeTable,
+    nav: Navigation,
+    path_xy: Float[Array, "T 2"],
+    reward: base.Reward = "sparse",
+) -> tuple[Navigation, base.Outcome]:
+    """Counts one decision and pays for it (paper, App. D).
 
     Args:
       table: the mazes.
       nav: the episode before the decision.
       path_xy: torso positions during the decision, the last one where it ended, units.
+      reward: what is paid. Sparse: the number of goals entered for the first time. Dense: see
+        `dense_reward`, where the decision ended; then the last goal ends nothing, for else it would
+        pay to wait beside it: who has arrived is paid 1 for every decision that is left.
+
+    Returns:
+      The episode after the decision, and what it led to.
     """
-    found = code_at(table, nav, path_xy)
+    codes = code_at(table, nav, path_xy)
     numbers = jnp.arange(1, maze_lib.MAX_GOALS + 1, dtype=jnp.uint8)
-    visited = nav.visited | (found[:, None] == numbers[None]).any(0)
-    reward = (visited & ~nav.visited).sum(dtype=jnp.float32)
-    decisions = nav.decisions + 1
-    terminated = visited.sum(dtype=jnp.int32) >= _of(table.mazes.num_goals, nav.maze)
-    is_late = decisions >= _of(table.mazes.num_decisions, nav.maze)
-    outcome = Outcome(reward=reward, terminated=terminated, truncated=is_late & ~terminated)
-    return nav.replace(visited=visited, decisions=decisions), outcome
+    visited = nav.visited | (codes[:, None] == numbers[None]).any(0)
+    after = nav.replace(visited=visited, decisions=nav.decisions + 1)
+
+    if reward == "dense":
+        paid, is_solved = dense_reward(table, after, path_xy[-1]), jnp.zeros((), bool)
+    else:
+        paid = (visited & ~nav.visited).sum(dtype=jnp.float32)
+        is_solved = visited.sum(dtype=jnp.int32) >= _of(table.mazes.num_goals, nav.maze)
+    is_late = after.decisions >= _of(table.mazes.num_decisions, nav.maze)
+    return after, base.Outcome.of_step(paid, is_solved, is_late)
 
 
 def success(table: MazeTable, nav: Navigation) -> Float[Array, ""]:
     """Returns the visited share of the goals, the paper's success."""
     visited = nav.visited.sum(dtype=jnp.float32)
     return visited / _of(table.mazes.num_goals, nav.maze).astype(jnp.float32)
-
-
-def dense(table: MazeTable, nav: Navigation, xy: Float[Array, "2"], outcome: Outcome) -> Outcome:
-    """Turns the outcome of a decision into that of the dense task (paper, App. D.2).
-
-    Args:
-      table: the mazes.
-      nav: the episode after the decision.
-      xy: where the torso is then, units.
-      outcome: of the sparse task.
-
-    Returns:
-      The reward of `dense_reward`. The last goal ends nothing: who has arrived is paid 1 for every
-      decision that is left, for else it would pay to wait beside the goal.
-    """
-    return outcome.replace(
-        reward=dense_reward(table, nav, xy),
-        terminated=jnp.zeros_like(outcome.terminated),
-        truncated=nav.decisions >= _of(table.mazes.num_decisions, nav.maze),
-    )
 
 
 def current_goal_xy(table: MazeTable, nav: Navigation) -> Float[Array, "2"]:
@@ -234,7 +212,7 @@ def observe(
     xy: Float[Array, "2"],
     silhouette: UInt32[Array, "P W"],
     view: raster.View,
-) -> Bool[Array, "n n C"]:
+) -> raster.Picture:
     """Draws what the high level sees, see `raster.draw` and `raster.draw_map`."""
     if view.map_radius > 0:
         return raster.draw_map(*_around(table, nav, xy, view.map_radius), nav.visited)

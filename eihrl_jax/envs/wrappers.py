@@ -1,18 +1,32 @@
-"""Wrappers of environments."""
+"""What follows the end of an episode: a new one, or rest."""
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Generic
 
 import jax.numpy as jnp
 from jaxtyping import Array, Key
 
 from eihrl_jax import base
+from eihrl_jax.base import InnerT, ObsT
 from eihrl_jax.ops import tree
 
 
+def rest_if_over(
+    state: base.EnvState[InnerT, ObsT], following: base.EnvState[InnerT, ObsT]
+) -> base.EnvState[InnerT, ObsT]:
+    """Returns `following`, but of an episode that is over `state` again, which pays nothing more.
+
+    Args:
+      state: before a step.
+      following: what the step made of it.
+    """
+    rested = state.replace(reward=jnp.zeros_like(state.reward))
+    return tree.where(state.is_over, rested, following)
+
+
 @dataclasses.dataclass(frozen=True)
-class AutoReset:
+class AutoReset(Generic[InnerT, ObsT]):
     """Begins a new episode, drawn anew, right after one has ended.
 
     In the step that ends an episode `reward`, `terminated`, `truncated`, `metrics` and `final_obs`
@@ -24,24 +38,26 @@ class AutoReset:
         `final_obs`, one observation is drawn per step instead of two.
     """
 
-    env: base.Environment
-    observe: Callable[[Any], Any] | None = None
+    env: base.Environment[InnerT, ObsT]
+    observe: Callable[[InnerT], ObsT] | None = None
 
-    def reset(self, key: Key[Array, ""]) -> base.EnvState:
+    def reset(self, key: Key[Array, ""]) -> base.EnvState[InnerT, ObsT]:
         """Draws a new episode; the key is consumed."""
         return self.env.reset(key)
 
-    def step(self, state: base.EnvState, action: Array) -> base.EnvState:
+    def step(
+        self, state: base.EnvState[InnerT, ObsT], action: Array
+    ) -> base.EnvState[InnerT, ObsT]:
         """Advances one step, and into the next episode where that ends one."""
         # The flags may still be those of the episode before; the one in `inner` goes on.
         no = jnp.zeros_like(state.terminated)
-        ended = self.env.step(state.replace(terminated=no, truncated=no), action)
-        fresh = self.env.reset(ended.key)
-        is_done = ended.terminated | ended.truncated
+        stepped = self.env.step(state.replace(terminated=no, truncated=no), action)
+
+        fresh = self.env.reset(stepped.key)
         inner, obs, key = tree.where(
-            is_done,
+            stepped.is_over,
             (fresh.inner, fresh.obs, fresh.key),
-            (ended.inner, ended.obs, ended.key),
+            (stepped.inner, stepped.obs, stepped.key),
         )
         obs = obs if self.observe is None else self.observe(inner)
-        return ended.replace(inner=inner, obs=obs, key=key)
+        return stepped.replace(inner=inner, obs=obs, key=key)

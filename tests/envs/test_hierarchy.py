@@ -1,131 +1,92 @@
-import types
+"""Two levels as one environment: k steps of whatever low level is put in, and the way they took."""
+
+import functools
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flax import struct
 
-from eihrl_jax import base
-from eihrl_jax.envs import hierarchy
+from eihrl_jax import base, mazes
+from eihrl_jax.envs import hierarchy, physics_maze, raster
+from tests.envs.sled import K, Sled
 
-K = 4
-
-
-class Cart(struct.PyTreeNode):
-    """What the hierarchy may pass along without knowing it."""
-
-    physics: types.SimpleNamespace | struct.PyTreeNode
-    is_running: jax.Array
-    is_fallen: jax.Array
+EAST, WEST = jnp.int32(0), jnp.int32(1)
+GOAL_X = 3 * base.CELL
+"""Where the goal's region begins, two cells from the start."""
 
 
-class Place(struct.PyTreeNode):
-    """Where the cart is."""
-
-    qpos: jax.Array
-
-
-class Line:
-    """A two-level probe: controls add up to a position, and the reward is how far a decision went.
-
-    With a low level that obeys, a decision for x+ is worth K and one for x- is worth -K; with a low
-    level that does the opposite it is the other way round.
-    """
-
-    robot = types.SimpleNamespace(steps_per_subgoal=K)
-    table = None
-
-    def reset(self, key, maze=None):
-        """Starts at zero."""
-        del maze
-        zero, no = jnp.float32(0.0), jnp.zeros((), bool)
-        cart = Cart(physics=Place(qpos=jnp.zeros(3)), is_running=~no, is_fallen=no)
-        return base.EnvState(
-            inner=cart,
-            obs=zero,
-            final_obs=zero,
-            reward=zero,
-            terminated=no,
-            truncated=no,
-            metrics={},
-            key=key,
-        )
-
-    def begin(self, state, direction):
-        """Gives the subgoal."""
-        return direction, state.inner
-
-    def low_obs(self, subgoal, body):
-        """Shows direction and place."""
-        return subgoal, body.physics.qpos[0]
-
-    def control(self, subgoal, body, ctrl):
-        """Moves; rests beyond six."""
-        del subgoal
-        qpos = body.physics.qpos.at[0].add(jnp.where(body.is_running, ctrl[0], 0.0))
-        return Cart(
-            physics=Place(qpos=qpos),
-            is_running=body.is_running & (qpos[0] < 6.0),
-            is_fallen=qpos[0] < 0.0,
-        )
-
-    def end(self, state, body, path_xy):
-        """Pays for the way."""
-        start = state.inner.physics.qpos[0]
-        return state.replace(inner=body, reward=path_xy[-1, 0] - start)
+@pytest.fixture(scope="module")
+def env():
+    return physics_maze.PhysicsMaze(
+        Sled(), mazes.parse("#####\n#S.1#\n#####\n"), view=raster.View()
+    )
 
 
-def obey(obs, key):
-    del key
-    direction, _ = obs
-    return jnp.where(direction == 0, 1.0, -1.0)[None]
+@pytest.fixture(scope="module")
+def start(env):
+    return jax.jit(env.reset)(jax.random.key(0))
 
 
-def disobey(obs, key):
-    return -obey(obs, key)
+def drive(obs, key, sign=1.0, noise=0.0):
+    """Drives in the direction asked for (sign 1) or against it, and lies down when it is west."""
+    way = jnp.array(base.DIRECTIONS_XY)[obs.direction]
+    ctrl = jnp.zeros(8).at[:2].set(sign * way).at[0].add(noise * jax.random.normal(key))
+    return ctrl.at[2].set((obs.direction == WEST).astype(jnp.float32))
 
 
-@pytest.mark.parametrize(("policy", "sign"), [(obey, 1.0), (disobey, -1.0)])
-@pytest.mark.parametrize(("direction", "way"), [(0, 1.0), (1, -1.0)])
-def test_decision_is_k_steps_of_the_low_level(policy, sign, direction, way):
-    two_levels = hierarchy.Hierarchy(Line(), policy)
-    state = two_levels.step(two_levels.reset(jax.random.key(0)), jnp.int32(direction))
-    assert float(state.reward) == K * sign * way
+@pytest.fixture(scope="module")
+def trace(env):
+    """A decision of any of these low levels, compiled once."""
+
+    @jax.jit
+    def traced(state, direction, sign=1.0, noise=0.0):
+        policy = functools.partial(drive, sign=sign, noise=noise)
+        return hierarchy.Hierarchy(env, policy).trace(state, direction)
+
+    return traced
 
 
-def test_trace_tells_every_step_and_where_the_robot_rested():
-    two_levels = hierarchy.Hierarchy(Line(), obey)
-    state = two_levels.reset(jax.random.key(0))
-    state, first = two_levels.trace(state, jnp.int32(0))
-    np.testing.assert_array_equal(first.qpos[:, 0], [1, 2, 3, 4])
-    assert first.is_running.all()
-    _, second = two_levels.trace(state, jnp.int32(0))
-    np.testing.assert_array_equal(second.qpos[:, 0], [5, 6, 6, 6])
-    np.testing.assert_array_equal(second.is_running, [True, True, False, False])
-    _, back = two_levels.trace(two_levels.reset(jax.random.key(0)), jnp.int32(1))
+def x_of(state):
+    return np.asarray(state.inner.body.physics.qpos[..., 0])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("direction", "way"), [(EAST, 1.0), (WEST, -1.0)])
+def test_decision_is_k_steps_of_the_low_level(trace, start, sign, direction, way):
+    state, _ = trace(start, direction, sign)
+    assert x_of(state) - x_of(start) == pytest.approx(base.CELL * sign * way, rel=1e-5)
+    assert int(state.inner.nav.decisions) == 1
+
+
+def test_trace_tells_every_step_and_where_the_robot_rested(trace, start):
+    state, first = trace(start, EAST)
+    way = base.CELL / K * np.arange(1, K + 1)
+    np.testing.assert_allclose(first.qpos[:, 0] - x_of(start), way, atol=1e-5)
+    assert first.is_running.all() and not first.is_fallen.any()
+
+    _, second = trace(state, EAST)
+    expected = x_of(state) + way
+    num_steps = int((expected < GOAL_X).sum()) + 1  # the last one goes into the goal
+    assert num_steps < K
+    expected[num_steps:] = expected[num_steps - 1]
+    np.testing.assert_allclose(second.qpos[:, 0], expected, atol=1e-5)
+    np.testing.assert_array_equal(second.is_running, np.arange(K) < num_steps)
+    _, back = trace(start, WEST)
     assert back.is_fallen.all()
 
 
-def test_every_step_has_its_own_randomness():
-    def jitter(obs, key):
-        del obs
-        return jax.random.normal(key, (1,))
-
-    two_levels = hierarchy.Hierarchy(Line(), jitter)
-    state = two_levels.reset(jax.random.key(0))
-    state, one = two_levels.trace(state, jnp.int32(0))
-    _, two = two_levels.trace(state, jnp.int32(0))
+def test_every_step_has_its_own_randomness(trace, start):
+    state, one = trace(start, EAST, 0.0, 0.1)
+    _, two = trace(state, EAST, 0.0, 0.1)
     moves = np.diff(np.concatenate([one.qpos[:, 0], two.qpos[:, 0]]))
     assert len(np.unique(moves)) == 2 * K - 1
 
 
-def test_eager_equals_jit_equals_vmap():
-    two_levels = hierarchy.Hierarchy(Line(), obey)
-    state = two_levels.reset(jax.random.key(0))
-    eager = two_levels.step(state, jnp.int32(1))
-    jitted = jax.jit(two_levels.step)(state, jnp.int32(1))
-    states = jax.vmap(two_levels.reset)(jnp.stack([jax.random.key(0)] * 2))
-    batched = jax.vmap(two_levels.step)(states, jnp.array([1, 0]))
-    assert float(eager.reward) == float(jitted.reward) == float(batched.reward[0])
-    assert float(batched.reward[1]) == K
+def test_eager_equals_jit_equals_vmap(env, trace, start):
+    eager, (jitted, _) = hierarchy.Hierarchy(env, drive).step(start, WEST), trace(start, WEST)
+    starts = jax.tree.map(lambda leaf: jnp.stack([leaf] * 2), start)
+    batched, _ = jax.vmap(trace)(starts, jnp.stack([WEST, EAST]))
+    assert x_of(eager) == x_of(jitted) == x_of(batched)[0]
+    np.testing.assert_array_equal(eager.obs, batched.obs[0])
+    assert x_of(batched)[1] - x_of(start) == pytest.approx(base.CELL, rel=1e-5)

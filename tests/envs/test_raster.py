@@ -145,7 +145,8 @@ def test_the_silhouette_is_the_third_channel(view):
 def footprint(view, *capsules) -> np.ndarray:
     """Draws capsules given as (start x, start y, end x, end y, radius)."""
     numbers = jnp.array(capsules, jnp.float32)
-    return np.asarray(raster.footprint(numbers[:, :2], numbers[:, 2:4], numbers[:, 4], view))
+    start, end = (jnp.pad(numbers[:, i : i + 2], ((0, 0), (0, 1))) for i in (0, 2))
+    return np.asarray(raster.footprint((start, end, numbers[:, 4]), jnp.zeros(2), view))
 
 
 def test_a_disc_has_the_area_of_a_disc():

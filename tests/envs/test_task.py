@@ -147,12 +147,11 @@ def test_after_nine_goals_the_last_one_stays_the_current():
 
 def test_the_dense_task_goes_on_after_the_last_goal_and_pays_in_full():
     table = task.prepare(mazes.load("u", num_decisions=2))
-    nav, outcome = task.advance(table, at(table), centre(1, 1)[None])
-    assert outcome.terminated
-    found = task.dense(table, nav, centre(7, 1), outcome)
-    assert (found.reward, found.terminated, found.truncated) == (1.0, False, False)
-    nav, outcome = task.advance(table, nav, centre(7, 1)[None])
-    assert task.dense(table, nav, centre(7, 1), outcome).truncated
+    there_and_back = jnp.stack([centre(1, 1), centre(7, 1)])
+    assert task.advance(table, at(table), there_and_back)[1].terminated
+    nav, outcome = task.advance(table, at(table), there_and_back, "dense")
+    assert (outcome.reward, outcome.terminated, outcome.truncated) == (1.0, False, False)
+    assert task.advance(table, nav, centre(7, 1)[None], "dense")[1].truncated
 
 
 def test_dense_reward_of_a_door_and_its_least_value_in_the_random_square():

@@ -12,6 +12,8 @@ off.
 Source: Hiraoka et al. 2021, Sec. 4, and its released code.
 """
 
+from typing import TypeAlias
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -19,7 +21,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base
 from eihrl_jax.envs import body as body_lib
-from eihrl_jax.ops import tree
+from eihrl_jax.envs import wrappers
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import scene
 
@@ -27,11 +29,20 @@ EPISODE_STEPS = 1_000
 
 
 class ForwardRunState(struct.PyTreeNode):
-    """The state of an episode: the robot, rewards so far, and control steps so far."""
+    """The state of an episode.
+
+    Attributes:
+      physics: the robot.
+      total_reward: float32, rewards of the episode so far.
+      step: int32, control steps so far.
+    """
 
     physics: engine_lib.PhysicsState
     total_reward: Float[Array, ""]
     step: Int[Array, ""]
+
+
+EnvState: TypeAlias = base.EnvState[ForwardRunState, base.GoalObs]
 
 
 class ForwardRun:
@@ -43,60 +54,40 @@ class ForwardRun:
         self._engine = engine
         self._no_walls = jnp.tile(jnp.array(scene.PARKED_XY), (engine.robot.num_walls, 1))
 
-    def reset(self, key: Key[Array, ""]) -> base.EnvState:
+    def reset(self, key: Key[Array, ""]) -> EnvState:
         """Draws a new episode; the key is consumed."""
         next_key, pose_key = jax.random.split(key)
         physics = body_lib.draw_pose(self._engine, jnp.zeros(2), pose_key)
-        qpos = physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0]))
-        physics = engine_lib.reset(qpos, physics.qvel)
-        zero, no = jnp.float32(0.0), jnp.zeros((), bool)
-        return _state(ForwardRunState(physics, zero, jnp.int32(0)), zero, no, no, next_key)
+        physics = body_lib.facing_east(physics)
+        inner = ForwardRunState(physics, jnp.float32(0.0), jnp.int32(0))
+        return _state(inner, base.Outcome.of_reset(), next_key)
 
-    def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
+    def step(self, state: EnvState, action: Float[Array, " nu"]) -> EnvState:
         """Advances one control step; an episode that is over rests, and pays nothing."""
-        inner: ForwardRunState = state.inner
-        is_running = ~(state.terminated | state.truncated)
+        inner = state.inner
         physics, is_broken = body_lib.advance(
-            self._engine, inner.physics, action, self._no_walls, is_running
+            self._engine, inner.physics, action, self._no_walls, ~state.is_over
         )
+
         speed = (physics.qpos[0] - inner.physics.qpos[0]) / self.robot.control_step
         reward = speed + 1.0 - 0.5 * jnp.square(action).sum()
         low, high = self.robot.healthy_z or (-jnp.inf, jnp.inf)
+        # Unlike in our mazes a robot upside down is well, as long as its torso is high enough.
         has_fallen = (physics.qpos[2] < low) | (physics.qpos[2] > high)
         step = inner.step + 1
-        ended = has_fallen | is_broken
-        moved = _state(
-            ForwardRunState(physics, inner.total_reward + reward, step),
-            reward,
-            ended,
-            (step >= EPISODE_STEPS) & ~ended,
-            state.key,
-        )
-        rested = state.replace(reward=jnp.float32(0.0))
-        return tree.where(is_running, moved, rested)
+        outcome = base.Outcome.of_step(reward, has_fallen | is_broken, step >= EPISODE_STEPS)
+
+        inner = ForwardRunState(physics, inner.total_reward + reward, step)
+        return wrappers.rest_if_over(state, _state(inner, outcome, state.key))
 
 
-def _state(
-    inner: ForwardRunState,
-    reward: Float[Array, ""],
-    terminated: Array,
-    truncated: Array,
-    key: Key[Array, ""],
-) -> base.EnvState:
-    """Puts together what `reset` and `step` return."""
+def _state(inner: ForwardRunState, outcome: base.Outcome, key: Key[Array, ""]) -> EnvState:
+    """Observes and tells what `reset` and `step` led to."""
     obs = base.GoalObs(
         xy=jnp.zeros(2),
         proprioception=inner.physics.proprioception,
         goal_xy=jnp.zeros(2),
         time=jnp.float32(0.0),
     )
-    return base.EnvState(
-        inner=inner,
-        obs=obs,
-        final_obs=obs,
-        reward=reward,
-        terminated=terminated,
-        truncated=truncated,
-        metrics={"return": inner.total_reward, "steps": inner.step.astype(jnp.float32)},
-        key=key,
-    )
+    metrics = {"return": inner.total_reward, "steps": inner.step}
+    return base.EnvState.of(inner=inner, obs=obs, outcome=outcome, metrics=metrics, key=key)

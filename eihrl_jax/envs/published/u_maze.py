@@ -12,6 +12,8 @@ end of the U.
 Source: Kim et al. 2021, Appendix; Nachum et al. 2018.
 """
 
+from typing import TypeAlias
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -19,8 +21,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
 from eihrl_jax.envs import body as body_lib
+from eihrl_jax.envs import wrappers
 from eihrl_jax.mazes import maze as maze_lib
-from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import walls
 
@@ -59,6 +61,9 @@ class UMazeState(struct.PyTreeNode):
     step: Int[Array, ""]
 
 
+EnvState: TypeAlias = base.EnvState[UMazeState, base.GoalObs]
+
+
 class UMaze:
     """The maze.
 
@@ -87,44 +92,46 @@ class UMaze:
         self.robot = engine.robot
         self._engine = engine
         self._maze = maze
-        self._reward = reward
+        self._reward: base.Reward = reward
         self._is_evaluation = is_evaluation
 
-    def reset(self, key: Key[Array, ""]) -> base.EnvState:
+    def reset(self, key: Key[Array, ""]) -> EnvState:
         """Draws a new episode; the key is consumed."""
         next_key, goal_key, pose_key = jax.random.split(key, 3)
         start_xy = jnp.array(START_XY)
         drawn = jax.random.uniform(goal_key, (2,), minval=GOALS[0], maxval=GOALS[1])
-        goal_xy = start_xy + (jnp.array(FAR_XY) if self._is_evaluation else drawn)
-        no = jnp.zeros((), bool)
         physics = body_lib.draw_pose(self._engine, start_xy, pose_key)
-        qpos = physics.qpos.at[3:7].set(jnp.array([1.0, 0.0, 0.0, 0.0]))
+        no = jnp.zeros((), bool)
         inner = UMazeState(
-            physics=engine_lib.reset(qpos, physics.qvel),
-            goal_xy=goal_xy,
+            physics=body_lib.facing_east(physics),
+            goal_xy=start_xy + (jnp.array(FAR_XY) if self._is_evaluation else drawn),
             has_arrived=no,
             has_fallen=no,
             is_broken=no,
             total_reward=jnp.float32(0.0),
             step=jnp.int32(0),
         )
-        return _state(inner, jnp.float32(0.0), no, no, next_key)
+        return _state(inner, base.Outcome.of_reset(), next_key)
 
-    def step(self, state: base.EnvState, action: Float[Array, " nu"]) -> base.EnvState:
+    def step(self, state: EnvState, action: Float[Array, " nu"]) -> EnvState:
         """Advances one control step; an episode that is over rests, and pays nothing."""
-        inner: UMazeState = state.inner
-        is_running = ~(state.terminated | state.truncated)
+        inner = state.inner
         # The maze's functions count in our cells, which are smaller.
         scale = CELL / base.CELL
-        near = scale * walls.nearby(
-            self._maze, inner.physics.qpos[:2] / scale, self.robot.num_walls
+        own_xy = inner.physics.qpos[:2] / scale
+        walls_xy = scale * walls.nearby(self._maze, own_xy, self.robot.num_walls)
+        physics, is_broken = body_lib.advance(
+            self._engine, inner.physics, action, walls_xy, ~state.is_over
         )
-        physics, is_broken = body_lib.advance(self._engine, inner.physics, action, near, is_running)
+
         distance = jnp.sqrt(jnp.square(physics.qpos[:2] - inner.goal_xy).sum())
         is_there = distance <= RADIUS
         reward = -distance if self._reward == "dense" else jnp.where(is_there, 0.0, -1.0)
+        terminated = is_broken | (is_there & self._is_evaluation)
         step = inner.step + 1
-        moved = UMazeState(
+        outcome = base.Outcome.of_step(reward, terminated, step >= EPISODE_STEPS)
+
+        inner = UMazeState(
             physics=physics,
             goal_xy=inner.goal_xy,
             has_arrived=inner.has_arrived | is_there,
@@ -133,24 +140,11 @@ class UMaze:
             total_reward=inner.total_reward + reward,
             step=step,
         )
-        terminated = is_broken | (is_there & self._is_evaluation)
-        is_late = (step >= EPISODE_STEPS) & ~terminated
-        rested = state.replace(reward=jnp.float32(0.0))
-        return tree.where(
-            is_running,
-            _state(moved, reward, terminated, is_late, state.key),
-            rested,
-        )
+        return wrappers.rest_if_over(state, _state(inner, outcome, state.key))
 
 
-def _state(
-    inner: UMazeState,
-    reward: Float[Array, ""],
-    terminated: Array,
-    truncated: Array,
-    key: Key[Array, ""],
-) -> base.EnvState:
-    """Puts together what `reset` and `step` return."""
+def _state(inner: UMazeState, outcome: base.Outcome, key: Key[Array, ""]) -> EnvState:
+    """Observes and tells what `reset` and `step` led to."""
     steps = inner.step.astype(jnp.float32)
     obs = base.GoalObs(
         xy=inner.physics.qpos[:2],
@@ -158,19 +152,11 @@ def _state(
         goal_xy=inner.goal_xy,
         time=steps / base.TIME_UNIT,
     )
-    return base.EnvState(
-        inner=inner,
-        obs=obs,
-        final_obs=obs,
-        reward=reward,
-        terminated=terminated,
-        truncated=truncated,
-        metrics={
-            "success": inner.has_arrived.astype(jnp.float32),
-            "steps": steps,
-            "return": inner.total_reward,
-            "fell": inner.has_fallen.astype(jnp.float32),
-            "broke_down": inner.is_broken.astype(jnp.float32),
-        },
-        key=key,
-    )
+    metrics = {
+        "success": inner.has_arrived,
+        "steps": steps,
+        "return": inner.total_reward,
+        "fell": inner.has_fallen,
+        "broke_down": inner.is_broken,
+    }
+    return base.EnvState.of(inner=inner, obs=obs, outcome=outcome, metrics=metrics, key=key)
