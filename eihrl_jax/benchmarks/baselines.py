@@ -1,14 +1,15 @@
 """Measurements of the baselines for `experiments.benchmark`: HIGL's speed."""
 
 import dataclasses
-import time
+import statistics
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 
 from eihrl_jax.baselines.higl import adjacency
+from eihrl_jax.benchmarks import part, timing
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.config import presets
 from eihrl_jax.training import baselines
@@ -16,8 +17,10 @@ from eihrl_jax.training import baselines
 PUBLISHED = 1e6 / (13 * 3600)
 """HIGL's control steps per second, learning included: a million in 13 hours (released code)."""
 
+StateT = TypeVar("StateT")
 
-def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> dict[str, float]:
+
+def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> part.Figures:
     """Measures HIGL with its own settings, landmarks and learning included, past compilation.
 
     Fits of the adjacency network, which are due once in `adjacency.period` steps, are measured
@@ -29,23 +32,33 @@ def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> dict[s
       repeats: measurements, of which the median counts.
 
     Returns:
-      Control steps per second, and how many times the published ones they are.
+      `rate`, control steps per second, and `ratio`, how many times the published ones they are.
     """
-    config = presets.higl()
-    landmarks = dataclasses.replace(config.landmarks, first_step=0)
-    # No fit falls due while rounds are measured.
-    places = dataclasses.replace(config.adjacency, period=2**31 - 1)
-    timed = dataclasses.replace(config, maze=maze, landmarks=landmarks, adjacency=places)
-    arena = baselines.make_arena(timed)
-    baseline = arena.baseline
-    state = jax.jit(baseline.init)(jax.random.key(0))
+    preset = presets.higl()
+    config = dataclasses.replace(
+        preset,
+        maze=maze,
+        landmarks=dataclasses.replace(preset.landmarks, first_step=0),
+        # No fit falls due while rounds are measured.
+        adjacency=dataclasses.replace(preset.adjacency, period=2**31 - 1),
+    )
+    arena = baselines.make_arena(config)
+    higl = arena.baseline
 
-    def walk(state: Any) -> Any:
-        return jax.lax.scan(lambda state, _: baseline.advance(state), state, length=rounds)[0]
+    def advance(state: StateT) -> StateT:
+        return jax.lax.scan(lambda state, _: higl.advance(state), state, length=rounds)[0]
 
-    seconds = _median_seconds(walk, state, repeats) / (rounds * baseline.steps_per_round)
-    seconds += _fit_seconds(arena.side_xy, config.adjacency) / config.adjacency.period
+    state = jax.jit(higl.init)(jax.random.key(0))
+    seconds = _median_seconds(advance, state, repeats) / (rounds * higl.steps_per_round)
+    seconds += _fit_seconds(arena.side_xy, preset.adjacency) / preset.adjacency.period
     return {"rate": 1.0 / seconds, "ratio": 1.0 / seconds / PUBLISHED}
+
+
+def higl_rows(figures: part.Figures) -> part.Rows:
+    """Tells HIGL's speed."""
+    rate, ratio = figures["rate"], figures["ratio"]
+    measured = f"{rate:.0f} control steps/s, {ratio:.1f} times the published"
+    return {"HIGL with its own settings, learning included": measured}
 
 
 def _fit_seconds(side_xy: tuple[int, int], options: config_lib.Adjacency) -> float:
@@ -57,13 +70,8 @@ def _fit_seconds(side_xy: tuple[int, int], options: config_lib.Adjacency) -> flo
     return _median_seconds(lambda state: network.fit(state, key)[0], everywhere, 1)
 
 
-def _median_seconds(function: Callable[[Any], Any], state: Any, repeats: int) -> float:
+def _median_seconds(function: Callable[[StateT], StateT], state: StateT, repeats: int) -> float:
     """Returns what a call takes, past compilation, each going on from the last."""
     compiled = jax.jit(function).lower(state).compile()
-    state = jax.block_until_ready(compiled(state))
-    seconds = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        state = jax.block_until_ready(compiled(state))
-        seconds.append(time.perf_counter() - begin)
-    return sorted(seconds)[repeats // 2]
+    seconds = [seconds for _, seconds in timing.successive(compiled, state, repeats + 1)]
+    return statistics.median(seconds[1:])

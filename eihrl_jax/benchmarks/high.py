@@ -2,10 +2,10 @@
 
 import dataclasses
 import pathlib
-import time
+import statistics
+import tempfile
 
-import jax
-
+from eihrl_jax.benchmarks import part, timing
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import presets
@@ -13,7 +13,7 @@ from eihrl_jax.reporting import evaluations
 from eihrl_jax.training import high, parallel
 
 
-def decisions_per_second(num_updates: int = 50, repeats: int = 5) -> dict[str, dict[str, float]]:
+def decisions_per_second(num_updates: int = 50, repeats: int = 5) -> dict[str, part.Figures]:
     """Measures environment and learning together, past compilation.
 
     Args:
@@ -31,31 +31,56 @@ def decisions_per_second(num_updates: int = 50, repeats: int = 5) -> dict[str, d
     }
 
 
-def _rates(config: high_config.HighConfig, num_updates: int, repeats: int) -> dict[str, float]:
-    agent = high.make_agent(high.make_env(config.task), config)
-    mesh = parallel.make_mesh(None, config.learner.num_workers)
-    state = parallel.init(agent, config.seed, mesh)
-    update = parallel.repeated_update(agent, num_updates, mesh).lower(state).compile()
-    rates = []
-    for _ in range(repeats + 1):  # the first one warms up
-        before, begin = int(state.num_decisions), time.perf_counter()
-        state, _ = jax.block_until_ready(update(state))
-        rates.append((int(state.num_decisions) - before) / (time.perf_counter() - begin))
-    ordered = sorted(rates[1:])
-    return {"median": ordered[repeats // 2], "fastest": ordered[-1]}
+def decisions_rows(figures: dict[str, part.Figures]) -> part.Rows:
+    """Tells how fast the high level learns."""
+    return {
+        f"decisions per second, environment and learning, {kind}": (
+            f"{rates['median']:,.0f} (median), {rates['fastest']:,.0f} (fastest)"
+        )
+        for kind, rates in figures.items()
+    }
 
 
-def full_episodes_seconds(folder: pathlib.Path, high_level: str) -> dict[str, float]:
-    """Measures 500 episodes of the walking ant on the Random Square, past compilation.
+def full_episodes(high_level: str = "best-random-0") -> part.Figures:
+    """Measures 500 episodes of the walking ant on the Random Square.
 
     Args:
-      folder: new folder for the evaluation.
       high_level: run folder or shipped name of the high level.
+
+    Returns:
+      `seconds`, past compilation, and `success`, the share of goals reached.
     """
-    found = evaluations.evaluate(
-        evaluate_config.EvaluateConfig(
-            mazes=("random",), movement=("full",), high=(high_level,), out=folder, animate="none"
+    with tempfile.TemporaryDirectory() as folder:
+        evaluation = evaluations.evaluate(
+            evaluate_config.EvaluateConfig(
+                mazes=("random",),
+                movement=("full",),
+                high=(high_level,),
+                out=pathlib.Path(folder, "episodes"),
+                animate="none",
+                heatmaps=False,
+            )
         )
-    )
-    (seconds,) = found.about["seconds"].values()
-    return {"seconds": seconds, "success": found.cells[0].success.rate}
+    (seconds,) = evaluation.about["seconds"].values()
+    return {"seconds": seconds, "success": evaluation.cells[0].success.rate}
+
+
+def episodes_rows(figures: part.Figures) -> part.Rows:
+    """Tells how long episodes with physics take."""
+    measured = f"{figures['seconds']:.0f} s, success {100 * figures['success']:.1f} %"
+    return {"500 episodes of the walking ant on the Random Square, past compilation": measured}
+
+
+def _rates(config: high_config.HighConfig, num_updates: int, repeats: int) -> part.Figures:
+    """Returns decisions per second, `median` and `fastest` of some measurements."""
+    agent = high.make_agent(high.make_env(config.task), config)
+    mesh = parallel.make_mesh(None, config.learner.num_workers)
+    first = parallel.init(agent, config.seed, mesh)
+    update = parallel.repeated_update(agent, num_updates, mesh).lower(first).compile()
+
+    rates, before = [], 0
+    for state, seconds in timing.successive(lambda state: update(state)[0], first, repeats + 1):
+        num_decisions = int(state.num_decisions)
+        rates.append((num_decisions - before) / seconds)
+        before = num_decisions
+    return {"median": statistics.median(rates[1:]), "fastest": max(rates[1:])}

@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,7 @@ import numpy as np
 
 from eihrl_jax import base
 from eihrl_jax.agents import droq, replay
-from eihrl_jax.benchmarks import timing
+from eihrl_jax.benchmarks import part, timing
 from eihrl_jax.config import low as low_config
 from eihrl_jax.config import presets
 from eihrl_jax.envs import locomotion, rooms, wrappers
@@ -19,17 +18,20 @@ from eihrl_jax.physics import engines, scene
 from eihrl_jax.training import low
 
 NUM_FEATURES, NUM_ACTIONS, CAPACITY, BATCH = 35, 8, 100_000, 256
-"""An ant of preset `paper` with a memory that doesn't fit into caches."""
-
+"""An ant of preset `paper` with a replay that doesn't fit into caches."""
 
 _SIZE = 2048
+"""Rows and columns of the matrices whose product shows what the machine can do."""
+
+_PER_CALL = 20
+"""Critic updates of one call, after which comes one of the actor."""
 
 
-def updates_per_second(num_updates: int = 400, repeats: int = 5) -> dict[str, Any]:
+def updates_per_second(num_updates: int = 400, repeats: int = 5) -> part.Figures:
     """Compares DroQ's updates with those of sbx at equal settings, and with the machine's limit.
 
     Settings: batch 256, two critics and an actor of 2x256, dropout 0.01, 20 critic updates per
-    update of the actor, batches drawn from a memory of 100,000 transitions. Times are taken in
+    update of the actor, batches drawn from a replay of 100,000 transitions. Times are taken in
     turns; the shortest of each counts.
 
     Args:
@@ -43,22 +45,35 @@ def updates_per_second(num_updates: int = 400, repeats: int = 5) -> dict[str, An
     Raises:
       base.UserError: sbx isn't installed.
     """
-    theirs = _sbx(num_updates)
+    train_sbx = _sbx(num_updates)  # First, as it may not be installed.
     times = timing.shortest(
-        {"ours": _ours(num_updates), "sbx": theirs, "matmul": _matmul()}, repeats
+        {"ours": _ours(num_updates), "sbx": train_sbx, "matmul": _matmul()}, repeats
     )
-    rate = 2.0 * _SIZE**3 / times["matmul"]
-    found = {name: num_updates / times[name] for name in ("ours", "sbx")}
-    limit = rate / flops_per_update()
-    return found | {
+
+    ours, sbx = num_updates / times["ours"], num_updates / times["sbx"]
+    flops = 2.0 * _SIZE**3 / times["matmul"]
+    limit = flops / flops_per_update()
+    return {
+        "ours": ours,
+        "sbx": sbx,
         "limit": limit,
-        "gflops": rate / 1e9,
-        "ratio": found["ours"] / found["sbx"],
-        "of_limit": found["ours"] / limit,
+        "gflops": flops / 1e9,
+        "ratio": ours / sbx,
+        "of_limit": ours / limit,
     }
 
 
-def flops_per_update(actor_period: int = 20) -> float:
+def updates_rows(figures: part.Figures) -> part.Rows:
+    """Tells how fast DroQ learns."""
+    return {
+        "DroQ updates per second, batch 256, actor every 20th": (
+            f"{figures['ours']:,.0f}; sbx {figures['sbx']:,.0f}: {figures['ratio']:.2f} times; "
+            f"{100 * figures['of_limit']:.0f} % of what {figures['gflops']:,.0f} GFLOP/s allow"
+        )
+    }
+
+
+def flops_per_update(actor_period: int = _PER_CALL) -> float:
     """Returns the multiplications and additions in the matrix products of one critic update.
 
     A forward pass of a network counts once, a backward pass to its parameters and its input twice,
@@ -66,16 +81,20 @@ def flops_per_update(actor_period: int = 20) -> float:
     """
     critic = _flops(NUM_FEATURES + NUM_ACTIONS, 256, 256, 1)
     actor = _flops(NUM_FEATURES, 256, 256, 2 * NUM_ACTIONS)
+
+    # The target needs the actor and both target critics forward; both critics learn.
     critic_update = actor + 2 * critic + 2 * 3 * critic
+    # The actor learns through both critics, whose parameters need no gradient.
     actor_update = 3 * actor + 2 * 2 * critic
     return critic_update + actor_update / actor_period
 
 
 def _flops(*sizes: int) -> float:
+    """Returns what a forward pass of a batch through layers of these sizes takes."""
     return 2.0 * BATCH * sum(one * other for one, other in itertools.pairwise(sizes))
 
 
-def walking_rate(num_steps: int = 100, repeats: int = 5) -> dict[str, float]:
+def walking_rate(num_steps: int = 100, repeats: int = 5) -> part.Figures:
     """Compares ants that walk with a policy in the loop with the engine's own rate.
 
     Args:
@@ -93,58 +112,65 @@ def walking_rate(num_steps: int = 100, repeats: int = 5) -> dict[str, float]:
             engine, rooms.random_rooms(config.num_rooms, 0), reward_options=config.reward
         )
     )
+
+    # Ants with the policy, which needs a key per step and ant.
     params = trainer.init(jax.random.key(0)).learner.actor_params
     envs = jax.vmap(env.reset)(jax.random.split(jax.random.key(1), config.num_envs))
-    shape = (num_steps, config.num_envs, engine.model.nu)
-    ctrls = jax.random.uniform(jax.random.key(2), shape, minval=-1.0, maxval=1.0)
-    parked = jnp.tile(jnp.array(scene.PARKED_XY), (engine.robot.num_walls, 1))
+    keys = jax.vmap(lambda key: jax.random.split(key, config.num_envs))(
+        jax.random.split(jax.random.key(3), num_steps)
+    )
 
     def walk_one(state: base.EnvState, key: jax.Array) -> base.EnvState:
         return env.step(state, trainer.sample(params, state.obs, key))
 
+    # The same ants, pushed at random, without a wall near them.
+    shape = (num_steps, config.num_envs, engine.model.nu)
+    ctrls = jax.random.uniform(jax.random.key(2), shape, minval=-1.0, maxval=1.0)
+    parked = jnp.tile(jnp.array(scene.PARKED_XY), (engine.robot.num_walls, 1))
+
     def step_one(state: engine_lib.PhysicsState, ctrl: jax.Array) -> engine_lib.PhysicsState:
         return engine.step(state, ctrl, parked)
 
-    keys = jax.vmap(lambda key: jax.random.split(key, config.num_envs))(
-        jax.random.split(jax.random.key(3), num_steps)
-    )
-    walk = _scan(walk_one, envs, keys)
-    step = _scan(step_one, envs.inner.physics, ctrls)
+    walk = timing.rolled(jax.vmap(walk_one), envs, keys)
+    step = timing.rolled(jax.vmap(step_one), envs.inner.physics, ctrls)
     times = timing.shortest({"walking": walk, "engine": step}, repeats)
     count = num_steps * config.num_envs
     rates = {name: count / seconds for name, seconds in times.items()}
     return rates | {"ratio": rates["walking"] / rates["engine"]}
 
 
-def _scan(step: Callable[[Any, Any], Any], state: Any, inputs: Any) -> Callable[[], Any]:
-    """Returns a function that steps a batch through inputs with leading axes time and batch."""
-    roll = jax.jit(
-        lambda state: jax.lax.scan(lambda s, x: (jax.vmap(step)(s, x), None), state, inputs)[0]
-    )
-    return lambda: roll(state)
+def walking_rows(figures: part.Figures) -> part.Rows:
+    """Tells what a policy in the loop costs."""
+    measured = f"{100 * figures['ratio']:.0f} % of {figures['engine']:,.0f} control steps/s"
+    return {
+        "ants that walk with the policy in the loop against the engine alone, 64 ants": measured
+    }
 
 
-def _ours(num_updates: int) -> Callable[[], Any]:
+def _ours(num_updates: int) -> Callable[[], droq.DroqState]:
+    """Fills our replay with noise and returns our training."""
     learner = droq.Droq(NUM_FEATURES, NUM_ACTIONS, low_config.Droq())
     rows = _transitions(np.random.default_rng(0))
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), rows)
-    memory = replay.add(replay.init(one, CAPACITY), rows)
+    buffer = replay.add(replay.init(one, CAPACITY), rows)
 
     @jax.jit
-    def train(state: droq.DroqState, memory: replay.Replay, key: jax.Array) -> droq.DroqState:
+    def train(state: droq.DroqState, buffer: replay.Replay, key: jax.Array) -> droq.DroqState:
         def once(state: droq.DroqState, key: jax.Array) -> tuple[droq.DroqState, None]:
             draw_key, update_key = jax.random.split(key)
-            batches = replay.sample(memory, (20, BATCH), draw_key)
-            keys = jax.random.split(update_key, 20)
+            batches = replay.sample(buffer, (_PER_CALL, BATCH), draw_key)
+            keys = jax.random.split(update_key, _PER_CALL)
             return jax.lax.scan(lambda s, x: learner.update(s, *x), state, (batches, keys))[0], None
 
-        return jax.lax.scan(once, state, jax.random.split(key, num_updates // 20))[0]
+        return jax.lax.scan(once, state, jax.random.split(key, num_updates // _PER_CALL))[0]
 
     state = jax.jit(learner.init)(jax.random.key(0))
-    return lambda: train(state, memory, jax.random.key(1))
+    return lambda: train(state, buffer, jax.random.key(1))
 
 
 def _transitions(rng: np.random.Generator) -> base.Transition:
+    """Draws as many transitions as a replay holds, of no meaning."""
+
     def normal(*shape: int) -> jax.Array:
         return jnp.asarray(rng.normal(size=(CAPACITY, *shape)), jnp.float32)
 
@@ -157,8 +183,8 @@ def _transitions(rng: np.random.Generator) -> base.Transition:
     )
 
 
-def _sbx(num_updates: int) -> Callable[[], Any]:
-    """Fills sbx's memory with noise and returns its training, 20 updates a call as it does it."""
+def _sbx(num_updates: int) -> Callable[[], None]:
+    """Fills sbx's replay with noise and returns its training, 20 updates a call as it does it."""
     try:
         import gymnasium  # pyright: ignore[reportMissingImports]
         import sbx  # pyright: ignore[reportMissingImports]
@@ -177,28 +203,30 @@ def _sbx(num_updates: int) -> Callable[[], Any]:
         Noise(),
         buffer_size=CAPACITY,
         batch_size=BATCH,
-        gradient_steps=20,
-        policy_delay=20,
+        gradient_steps=_PER_CALL,
+        policy_delay=_PER_CALL,
         policy_kwargs={"dropout_rate": 0.01, "layer_norm": True},
     )
     model.set_logger(logger.configure(format_strings=[]))
-    rng, memory = np.random.default_rng(0), model.replay_buffer
-    assert memory is not None
-    memory.observations[:] = rng.normal(size=memory.observations.shape)
-    memory.next_observations[:] = rng.normal(size=memory.next_observations.shape)
-    memory.actions[:] = np.tanh(rng.normal(size=memory.actions.shape))
-    memory.rewards[:] = rng.normal(size=memory.rewards.shape)
-    memory.full = True
+
+    rng, buffer = np.random.default_rng(0), model.replay_buffer
+    assert buffer is not None
+    buffer.observations[:] = rng.normal(size=buffer.observations.shape)
+    buffer.next_observations[:] = rng.normal(size=buffer.next_observations.shape)
+    buffer.actions[:] = np.tanh(rng.normal(size=buffer.actions.shape))
+    buffer.rewards[:] = rng.normal(size=buffer.rewards.shape)
+    buffer.full = True
 
     def train() -> None:
-        for _ in range(num_updates // 20):
-            model.train(20, BATCH)
+        for _ in range(num_updates // _PER_CALL):
+            model.train(_PER_CALL, BATCH)
         jax.block_until_ready(model.policy.qf_state.params)
 
     return train
 
 
-def _matmul() -> Callable[[], Any]:
+def _matmul() -> Callable[[], jax.Array]:
+    """Returns a large matrix product, the fastest that a machine can multiply."""
     factor = jnp.asarray(np.random.default_rng(0).normal(size=(_SIZE, _SIZE)), jnp.float32)
     product = jax.jit(jnp.matmul)
     return lambda: product(factor, factor)

@@ -2,14 +2,18 @@
 
 import math
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import jax
+from jaxtyping import PyTree
+
+StateT = TypeVar("StateT")
+InputT = TypeVar("InputT")
 
 
 def shortest(
-    functions: dict[str, Callable[[], Any]],
+    functions: dict[str, Callable[[], PyTree]],
     repeats: int,
     clock: Callable[[], float] = time.perf_counter,
 ) -> dict[str, float]:
@@ -21,6 +25,7 @@ def shortest(
       clock: seconds, of the wall or of the process.
     """
     jax.block_until_ready([function() for function in functions.values()])
+
     times = dict.fromkeys(functions, math.inf)
     for _ in range(repeats):
         for name, function in functions.items():
@@ -28,3 +33,27 @@ def shortest(
             jax.block_until_ready(function())
             times[name] = min(times[name], clock() - begin)
     return times
+
+
+def successive(
+    function: Callable[[StateT], StateT], state: StateT, repeats: int
+) -> Iterator[tuple[StateT, float]]:
+    """Calls a compiled function with what it returned last; yields that and the call's seconds.
+
+    The first call warms up. The function may consume its argument: read what is needed of a state
+    before asking for the next one.
+    """
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        state = jax.block_until_ready(function(state))
+        yield state, time.perf_counter() - begin
+
+
+def rolled(
+    step: Callable[[StateT, InputT], StateT], state: StateT, inputs: InputT
+) -> Callable[[], StateT]:
+    """Returns a function that steps a state through inputs [T, ...] in one compiled program."""
+    roll = jax.jit(
+        lambda state, inputs: jax.lax.scan(lambda s, x: (step(s, x), None), state, inputs)[0]
+    )
+    return lambda: roll(state, inputs)
