@@ -1,15 +1,15 @@
 """Random rooms of any size with inner walls and several door candidates, always solvable.
 
-Straight pieces of wall are thrown into an empty room; what they cut off from its largest part is
-filled with wall, so that every start leads to every door. Also any maze with its goal elsewhere.
+Straight walls are added to an empty room; what they cut off from its largest part is filled with
+wall, so that every start leads to every door. Also: any maze with its goal elsewhere.
 """
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool
 
 from eihrl_jax import base
 from eihrl_jax.config import checks
+from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import parsing, paths
 from eihrl_jax.mazes.maze import Maze
 
@@ -22,11 +22,14 @@ MAX_LENGTH = 6
 FIRST_SEED = 2**32
 """Lowest seed of the rooms that high levels train in: those below are for tests."""
 
+MAX_ROOMS = 2**20
+"""Most rooms in a lot to train in, and the number of seeds that each lot has of its own."""
+
 MAX_PLACES = 1_000
 """Most places of a maze whose goal is moved: each of them becomes a maze of its own."""
 
 MAX_WALL_SHARE = 0.4
-"""Largest share of inner wall: above it too little of a room hangs together."""
+"""Largest share of inner wall: above it too little of a room is connected."""
 
 
 def random_room(
@@ -38,7 +41,7 @@ def random_room(
       seed: of the room, at least 0.
       rows: number of rows inside the outer ring.
       columns: number of columns inside the outer ring.
-      wall_share: share of the inside at which no further wall is thrown in, 0 to 0.4.
+      wall_share: share of the inside at which no further wall is added, 0 to 0.4.
       num_doors: number of door candidates; fewer if the ring has no place for them.
 
     Returns:
@@ -52,13 +55,16 @@ def random_room(
     checks.in_range("columns", columns, 1, MAX_INSIDE)
     checks.in_range("wall_share", wall_share, 0.0, MAX_WALL_SHARE)
     checks.in_range("num_doors", num_doors, 1)
+
     rng = np.random.default_rng(seed)
     places: list[paths.Cell] = []
     grid = np.full((rows + 2, columns + 2), "#")
+    # Drawn anew where no free cell is left at the ring, so that no door could be there.
     while not places:
-        free = paths.largest_part(~_thrown_walls(rng, rows, columns, wall_share))
+        free = paths.largest_part(~_straight_walls(rng, rows, columns, wall_share))
         grid[1:-1, 1:-1] = np.where(free, "S", "#")
         places = _door_places(grid == "S")
+
     for index in rng.permutation(len(places))[:num_doors]:
         grid[places[index]] = "D"
     return "\n".join("".join(row) for row in grid) + "\n"
@@ -90,7 +96,7 @@ def training_rooms(
 
     Args:
       seed: of the lot; two lots have no seed of a room in common.
-      num: number of rooms, at most 2^20.
+      num: number of rooms, at most `MAX_ROOMS`.
       sides: least and greatest number of rows, and of columns, inside the outer ring.
       wall_share: greatest share of inner wall; each room draws its own below it.
       num_decisions: time limit of all; None: each its own, see `parsing.parse`.
@@ -98,9 +104,10 @@ def training_rooms(
     Raises:
       base.UserError: an argument out of its limits.
     """
-    checks.in_range("num", num, 1, FIRST_SEED >> 12)
+    checks.in_range("num", num, 1, MAX_ROOMS)
     checks.in_range("wall_share", wall_share, 0.0, MAX_WALL_SHARE)
-    first = FIRST_SEED + seed * (FIRST_SEED >> 12)
+
+    first = FIRST_SEED + seed * MAX_ROOMS
     rng = np.random.default_rng(first)
     least, greatest = sides
     return [
@@ -140,42 +147,45 @@ def goals_anywhere(maze: Maze) -> Maze:
         raise base.UserError(
             f"goals anywhere: the maze has {len(places)} places, must be at most {MAX_PLACES}"
         )
+
     variants = []
     for cell in [*places, *paths.cells(door)]:
         goal = np.zeros(wall.shape, bool)
         goal[cell] = True
+        # A door is wall elsewhere, so that only the one that is the goal is entered.
         is_reached = paths.distances(~wall | goal, paths.cells(start & ~goal))[cell] >= 0
         if is_reached:
             variants.append(
                 maze.replace(
-                    wall=jnp.asarray(wall & ~goal),
-                    goal=jnp.asarray(goal, jnp.int32),
-                    start=jnp.asarray(start & ~goal),
-                    door=jnp.zeros_like(maze.door),
-                    num_goals=jnp.int32(1),
+                    wall=wall & ~goal,
+                    goal=goal.astype(np.int32),
+                    start=start & ~goal,
+                    door=np.zeros_like(door),
+                    num_goals=np.int32(1),
                 )
             )
-    return parsing.stack(variants)
+    return maze_lib.stack(variants)
 
 
-def _thrown_walls(
+def _straight_walls(
     rng: np.random.Generator, rows: int, columns: int, wall_share: float
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Throws in straight walls while their share stays within the limit."""
+    """Draws straight walls until the next one would exceed their share."""
     wall = np.zeros((rows, columns), bool)
     while True:
         is_row = rng.random() < 0.5
         longest = min(MAX_LENGTH, max(1, (columns if is_row else rows) // 2))
         length = rng.integers(1, longest + 1)
         i, j = rng.integers(rows), rng.integers(columns)
-        longer = wall.copy()
+
+        more = wall.copy()
         if is_row:
-            longer[i, j : j + length] = True
+            more[i, j : j + length] = True
         else:
-            longer[i : i + length, j] = True
-        if longer.mean() > wall_share:
+            more[i : i + length, j] = True
+        if more.mean() > wall_share:
             return wall
-        wall = longer
+        wall = more
 
 
 def _door_places(free: Bool[np.ndarray, "R C"]) -> list[paths.Cell]:

@@ -6,6 +6,7 @@ as they were because the origin is the outer top-left corner (see `base`).
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, Num, UInt8
 
@@ -41,6 +42,7 @@ class Maze(struct.PyTreeNode):
 
 def cell_ij(xy: Float[Array, "2"]) -> Int[Array, "2"]:
     """Returns row and column of the cell around a position in units; may lie outside the grid."""
+    # y points up and rows are counted downwards.
     column_row = jnp.floor(xy * jnp.array([1.0, -1.0]) / base.CELL)
     return column_row[::-1].astype(jnp.int32)
 
@@ -51,7 +53,7 @@ def cell_xy(ij: Num[Array, "2"]) -> Float[Array, "2"]:
 
 
 def is_wall(maze: Maze, xy: Float[Array, "2"]) -> Bool[Array, ""]:
-    """Tells whether a position is inside a wall; everything outside the grid is."""
+    """Returns whether a position is inside a wall; everything outside the grid is."""
     i, j = cell_ij(xy)
     return maze.wall.at[i, j].get(mode="fill", fill_value=True, wrap_negative_indices=False)
 
@@ -76,6 +78,7 @@ def code_at(
 
 def draw_cell(mask: Bool[Array, "R C"], key: Key[Array, ""]) -> Int[Array, "2"]:
     """Draws row and column of one of the true cells of `mask`, all equally likely."""
+    # The true cells are numbered in reading order; the first one past the drawn number is taken.
     rank = jnp.cumsum(mask.ravel())
     drawn = jax.random.uniform(key) * rank[-1].astype(jnp.float32)
     index = jnp.searchsorted(rank, drawn.astype(jnp.int32), side="right")
@@ -106,8 +109,34 @@ def goal_centres(maze: Maze) -> Float[Array, "9 2"]:
     """Returns the mean position of each goal region's cells in units; 0 for an absent goal."""
     rows, columns = maze.goal.shape
     ij = jnp.stack(jnp.mgrid[:rows, :columns])
+
     is_in = maze.goal[None] == jnp.arange(1, MAX_GOALS + 1, dtype=jnp.int32)[:, None, None]
     count = is_in.sum((1, 2), dtype=jnp.float32)
     total_ij = jnp.where(is_in[:, None], ij[None], 0).sum((2, 3), dtype=jnp.float32)
     mean_ij = total_ij / jnp.maximum(count, 1.0)[:, None]
     return jnp.where(count[:, None] > 0.0, jax.vmap(cell_xy)(mean_ij), 0.0)
+
+
+def stack(mazes: list[Maze]) -> Maze:
+    """Stacks mazes along a new leading axis, padded with wall to the largest of them.
+
+    Coordinates stay as they were: padding is below and to the right.
+    """
+    rows = max(maze.wall.shape[0] for maze in mazes)
+    columns = max(maze.wall.shape[1] for maze in mazes)
+
+    # In NumPy: JAX would compile the padding of every shape.
+    def pad(grid: Array | np.ndarray, value: bool | int) -> np.ndarray:
+        margin = ((0, rows - grid.shape[0]), (0, columns - grid.shape[1]))
+        return np.pad(np.asarray(grid), margin, constant_values=value)
+
+    padded = [
+        maze.replace(
+            wall=pad(maze.wall, True),
+            goal=pad(maze.goal, 0),
+            start=pad(maze.start, False),
+            door=pad(maze.door, False),
+        )
+        for maze in mazes
+    ]
+    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *padded))

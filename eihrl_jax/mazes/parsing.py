@@ -42,55 +42,30 @@ def parse(
     Raises:
       base.UserError: the text is not a maze in which every start leads to every goal and door.
     """
-    grid = _grid(text, name)
     checks.in_range(f"{name}: start_jitter", start_jitter, 0.0, below=base.CELL / 2)
     if num_decisions is not None:
         checks.in_range(f"{name}: num_decisions", num_decisions, 1)
+
+    grid = _grid(text, name)
     _check_cells(grid, name)
+    _check_ways(grid, name)
+
     is_door = grid == "D"
     goal = np.where(np.isin(grid, list(DIGITS)), grid, "0").astype(np.int32)
-    _check_ways(grid, name)
-    maze = Maze(
-        wall=jnp.asarray((grid == "#") | is_door),
-        goal=jnp.asarray(goal),
-        start=jnp.asarray(grid == "S"),
-        door=jnp.asarray(is_door),
-        start_jitter=jnp.float32(start_jitter),
-        num_goals=jnp.int32(max(goal.max(), int(is_door.any()))),
-        num_decisions=jnp.int32(0),
-    )
+    fields = {
+        "wall": (grid == "#") | is_door,
+        "goal": goal,
+        "start": grid == "S",
+        "door": is_door,
+        "start_jitter": np.float32(start_jitter),
+        "num_goals": np.int32(max(goal.max(), int(is_door.any()))),
+        "num_decisions": np.int32(num_decisions or 0),
+    }
+    # `jnp.asarray` of each would compile a program for every shape of a maze.
+    maze = Maze(**jax.device_put(fields))
     if num_decisions is None:
-        num_decisions = max(24, 4 * paths.longest_tour(maze))
-    return maze.replace(num_decisions=jnp.int32(num_decisions))
-
-
-def stack(mazes: list[Maze]) -> Maze:
-    """Stacks mazes along a new leading axis, padded with wall to the largest of them.
-
-    Coordinates stay as they were: padding is below and to the right.
-    """
-    rows = max(maze.wall.shape[0] for maze in mazes)
-    columns = max(maze.wall.shape[1] for maze in mazes)
-
-    def pad(grid: jax.Array, value: bool | int) -> jax.Array:
-        margin = ((0, rows - grid.shape[0]), (0, columns - grid.shape[1]))
-        return jnp.pad(grid, margin, constant_values=value)
-
-    padded = [
-        maze.replace(
-            wall=pad(maze.wall, True),
-            goal=pad(maze.goal, 0),
-            start=pad(maze.start, False),
-            door=pad(maze.door, False),
-        )
-        for maze in mazes
-    ]
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *padded)
-
-
-def place(cell: tuple[int, int]) -> str:
-    """Says where a cell is, as messages do."""
-    return f"row {cell[0] + 1}, column {cell[1] + 1}"
+        maze = maze.replace(num_decisions=jnp.int32(max(24, 4 * paths.longest_tour(maze))))
+    return maze
 
 
 def _grid(text: str, name: str) -> np.ndarray:
@@ -102,11 +77,12 @@ def _grid(text: str, name: str) -> np.ndarray:
         lines.pop()
     if not lines:
         raise base.UserError(f"{name}: the text is empty")
+
     for i, line in enumerate(lines):
         for j, character in enumerate(line):
             if character not in "#.SD" + DIGITS:
                 raise base.UserError(
-                    f"{name}: unknown character {character!r} at {place((i, j))}; "
+                    f"{name}: unknown character {character!r} at {_where((i, j))}; "
                     "known are # . S D and 1 to 9"
                 )
         if len(line) != len(lines[0]):
@@ -120,50 +96,52 @@ def _grid(text: str, name: str) -> np.ndarray:
 
 def _check_cells(grid: np.ndarray, name: str) -> None:
     """Checks that starts and goals are there, numbered without gaps, and the ring is closed."""
-    inside = np.zeros(grid.shape, bool)
-    inside[1:-1, 1:-1] = True
-    for cell in paths.cells(~inside & np.isin(grid, [".", "S"])):
+    ring = np.ones(grid.shape, bool)
+    ring[1:-1, 1:-1] = False
+    for cell in paths.cells(ring & np.isin(grid, [".", "S"])):
         raise base.UserError(
-            f"{name}: {str(grid[cell])!r} at {place(cell)} leaves the outer ring open; "
+            f"{name}: {str(grid[cell])!r} at {_where(cell)} leaves the outer ring open; "
             "only # D and 1 to 9 may be there"
         )
+
     if not (grid == "S").any():
         raise base.UserError(f"{name}: no start; mark at least one cell with S")
+
     has_door = bool((grid == "D").any())
     present = [int(digit) for digit in DIGITS if (grid == digit).any()]
     if not present and not has_door:
         raise base.UserError(f"{name}: no goal; mark a region with 1 or door candidates with D")
+
+    # The open door is goal 1, so regions are numbered on from there.
     if has_door and 1 in present:
         raise base.UserError(
-            f"{name}: goal 1 at {place(paths.cells(grid == '1')[0])} beside door candidates; "
+            f"{name}: goal 1 at {_where(paths.cells(grid == '1')[0])} beside door candidates; "
             "the open door is goal 1, so regions are numbered from 2"
         )
     for number, expected in zip(present, range(2 if has_door else 1, MAX_GOALS + 1), strict=False):
         if number != expected:
-            where = place(paths.cells(grid == str(number))[0])
+            where = _where(paths.cells(grid == str(number))[0])
             raise base.UserError(f"{name}: goal {number} at {where}, but there is no {expected}")
 
 
 def _check_ways(grid: np.ndarray, name: str) -> None:
     """Checks that every start leads to every goal and door without passing another door."""
     starts = paths.cells(grid == "S")
+    no_way = f"{name}: no way from the start at {_where(starts[0])} to"
+    # What the first start reaches, the others reach by way of it.
     reached = paths.distances((grid != "#") & (grid != "D"), starts[:1])
+
     for start in starts:
         if reached[start] < 0:
-            raise base.UserError(
-                f"{name}: no way from the start at {place(starts[0])} to the start at "
-                f"{place(start)}"
-            )
-    for digit in DIGITS:
-        for goal in paths.cells(grid == digit):
-            if reached[goal] < 0:
-                raise base.UserError(
-                    f"{name}: no way from the start at {place(starts[0])} to goal {digit} at "
-                    f"{place(goal)}"
-                )
+            raise base.UserError(f"{no_way} the start at {_where(start)}")
+    for goal in paths.cells(np.isin(grid, list(DIGITS))):
+        if reached[goal] < 0:
+            raise base.UserError(f"{no_way} goal {grid[goal]} at {_where(goal)}")
     for door in paths.cells(grid == "D"):
         if paths.way_to_door(reached, door) < 0:
-            raise base.UserError(
-                f"{name}: no way from the start at {place(starts[0])} to the door candidate at "
-                f"{place(door)}"
-            )
+            raise base.UserError(f"{no_way} the door candidate at {_where(door)}")
+
+
+def _where(cell: paths.Cell) -> str:
+    """Returns where a cell is in the words of a text editor, which counts from 1."""
+    return f"row {cell[0] + 1}, column {cell[1] + 1}"

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Bool, Int
+from scipy import ndimage
 
 from eihrl_jax.mazes.maze import Maze
 
@@ -25,22 +26,15 @@ def distances(free: Bool[np.ndarray, "R C"], sources: Iterable[Cell]) -> Int[np.
     Returns:
       int32 [R, C], number of moves; -1 where there is no way.
     """
-    is_open, width = _flat(free)
-    moves = [-1] * len(is_open)
-    _flood(is_open, width, [(i + 1) * width + j + 1 for i, j in sources], moves)
-    return _grid(moves, width)
+    return _moves(free, np.zeros(free.shape, np.int32), sources)[0]
 
 
 def largest_part(free: Bool[np.ndarray, "R C"]) -> Bool[np.ndarray, "R C"]:
-    """Returns the largest set of free cells that hang together, the first of equal ones."""
-    is_open, width = _flat(free)
-    moves, largest = [-1] * len(is_open), []
-    for cell in np.flatnonzero(is_open).tolist():
-        if moves[cell] < 0:
-            largest = max(largest, _flood(is_open, width, [cell], moves), key=len)
-    is_in = np.zeros(len(is_open), bool)
-    is_in[largest] = True
-    return is_in.reshape(-1, width)[1:-1, 1:-1]
+    """Returns the largest connected set of free cells, the first of equal ones."""
+    labels = np.zeros(free.shape, np.int32)
+    ndimage.label(free, output=labels)  # numbers parts from 1 on, in reading order
+    sizes = np.bincount(labels[free], minlength=1)
+    return free & (labels == sizes.argmax())
 
 
 def cells(mask: Bool[np.ndarray, "R C"]) -> list[Cell]:
@@ -64,24 +58,10 @@ def arrivals(maze: Maze, start: Cell | None = None, door: Cell | None = None) ->
     free, goal = _free(maze), np.array(maze.goal)
     if door is not None:
         free[door], goal[door] = True, 1
-    is_open, width = _flat(free)
-    goals, size = np.pad(goal, 1).ravel().tolist(), len(is_open)
-    found = [-1] * int(maze.num_goals)
     sources = cells(np.asarray(maze.start)) if start is None else [start]
-    # A place is a cell together with the goals entered so far: cell + size * number of goals.
-    moves = {(i + 1) * width + j + 1: 0 for i, j in sources}
-    reached = list(moves)
-    for place in reached:  # grows while it is walked through
-        num_entered, cell = divmod(place, size)
-        for neighbour in (cell + 1, cell - 1, cell + width, cell - width):
-            is_next = goals[neighbour] == num_entered + 1
-            there = neighbour + size * (num_entered + is_next)
-            if is_open[neighbour] and there not in moves:
-                moves[there] = moves[place] + 1
-                reached.append(there)
-                if is_next and found[num_entered] < 0:
-                    found[num_entered] = moves[there]
-    return found
+    moves = _moves(free, goal, sources, int(maze.num_goals))
+    # The first place with n goals entered is the cell where the n-th was.
+    return [int(layer[layer >= 0].min()) if (layer >= 0).any() else -1 for layer in moves[1:]]
 
 
 def longest_tour(maze: Maze) -> int:
@@ -98,10 +78,9 @@ def longest_tour(maze: Maze) -> int:
     middle = (int(starts[centre, 0]), int(starts[centre, 1]))
     reached = distances(_free(maze), [middle])
     to_middle = int(reached[np.asarray(maze.start)].max())
+
     doors = cells(np.asarray(maze.door))
-    if not doors:
-        return to_middle + arrivals(maze, middle)[-1]
-    farthest = max(doors, key=lambda door: way_to_door(reached, door))
+    farthest = max(doors, key=lambda door: way_to_door(reached, door)) if doors else None
     return to_middle + arrivals(maze, middle, farthest)[-1]
 
 
@@ -118,25 +97,31 @@ def _free(maze: Maze) -> Bool[np.ndarray, "R C"]:
     return ~(np.asarray(maze.wall) | np.asarray(maze.door))
 
 
-def _flat(free: Bool[np.ndarray, "R C"]) -> tuple[list[bool], int]:
-    """Lists the cells in reading order with a closed margin of one; returns also their width."""
-    padded = np.pad(free, 1)
-    return padded.ravel().tolist(), padded.shape[1]
+def _moves(
+    free: Bool[np.ndarray, "R C"],
+    goal: Int[np.ndarray, "R C"],
+    sources: Iterable[Cell],
+    num_goals: int = 0,
+) -> Int[np.ndarray, "K R C"]:
+    """Counts the moves to every cell by how many goals have been entered in their order, from 0 on.
 
+    A breadth-first search over places: a place is a cell together with the number of goals entered.
+    """
+    padded = np.pad(free, 1)  # with wall, so that neighbours need no check of the margin
+    width, size = padded.shape[1], padded.size
+    is_open, goals = padded.ravel().tolist(), np.pad(goal, 1).ravel().tolist()
 
-def _grid(flat: list[int], width: int) -> Int[np.ndarray, "R C"]:
-    """Undoes `_flat`."""
-    return np.array(flat, np.int32).reshape(-1, width)[1:-1, 1:-1]
-
-
-def _flood(is_open: list[bool], width: int, sources: list[int], moves: list[int]) -> list[int]:
-    """Writes the moves from the sources to the cells around that have none yet; lists them all."""
-    reached = list(sources)
-    for cell in reached:
-        moves[cell] = 0
-    for cell in reached:  # grows while it is walked through
+    reached = [(i + 1) * width + j + 1 for i, j in sources]
+    moves = [-1] * (size * (num_goals + 1))
+    for place in reached:
+        moves[place] = 0
+    for place in reached:  # grows while it is walked through
+        num_entered, cell = divmod(place, size)
         for neighbour in (cell + 1, cell - 1, cell + width, cell - width):
-            if is_open[neighbour] and moves[neighbour] < 0:
-                moves[neighbour] = moves[cell] + 1
-                reached.append(neighbour)
-    return reached
+            if is_open[neighbour]:
+                is_next = goals[neighbour] == num_entered + 1
+                there = neighbour + size * (num_entered + is_next)
+                if moves[there] < 0:
+                    moves[there] = moves[place] + 1
+                    reached.append(there)
+    return np.array(moves, np.int32).reshape(-1, *padded.shape)[:, 1:-1, 1:-1]
