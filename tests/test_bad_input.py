@@ -135,7 +135,17 @@ def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     "module",
-    ["train_low", "train_high", "train_baseline", "compare_baselines", "evaluate", "kill_resume"],
+    [
+        *(
+            "train_low",
+            "train_high",
+            "train_baseline",
+            "compare_baselines",
+            "evaluate",
+            "benchmark",
+        ),
+        *("kill_resume", "train_policies", "ablate_high", "ablate_low", "small_maze", "report"),
+    ],
 )
 def test_help_names_options_and_defaults(module, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [module, "--help"])

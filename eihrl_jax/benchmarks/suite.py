@@ -36,7 +36,7 @@ class BenchmarkConfig:
       out: folder of the results, must be new.
     """
 
-    parts: Annotated[tuple[Annotated[str, limits.OneOf(PARTS)], ...], limits.Distinct()] = tuple(
+    parts: limits.Several[Annotated[str, limits.OneOf(PARTS)]] = tuple(
         part for part in PARTS if part != "updates"
     )
     out: pathlib.Path = pathlib.Path("runs/benchmark")

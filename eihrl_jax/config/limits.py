@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from eihrl_jax.config import checks
 
 ConfigT = TypeVar("ConfigT")
+ItemT = TypeVar("ItemT")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Range:
         checks.in_range(name, value, self.low, self.high, above=self.above, below=self.below)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)  # An annotation must have a hash; tables have none.
 class OneOf:
     """A word that is looked up in a table; known words alone are better a `Literal`.
 
@@ -65,10 +66,13 @@ class Distinct:
         checks.distinct(name, value)
 
 
+Several = Annotated[tuple[ItemT, ...], Distinct()]
+"""At least one of a kind, none twice: `Several[str]`."""
+
 Seed = Annotated[int, Range(0, 2**32 - 1)]
 """Of random numbers: 32 bits, as JAX's keys and NumPy's generators take them."""
 
-Seeds = Annotated[tuple[Seed, ...], Distinct()]
+Seeds = Several[Seed]
 
 Count = Annotated[int, Range(1, 2**31 - 1)]
 """How many of something there are, in 32 bits, as JAX counts."""

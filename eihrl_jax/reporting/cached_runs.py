@@ -41,8 +41,8 @@ def seeds_of(folder: pathlib.Path, run: str) -> list[pathlib.Path]:
     return [found[seed] for seed in sorted(filter(str.isdecimal, found), key=int)]
 
 
-def planned(options: RunT, train: Callable[[RunT], object]) -> Callable[[], None]:
-    """Returns what does as `finish` does.
+def checked(options: RunT, train: Callable[[RunT], object]) -> Callable[[], None]:
+    """Checks a run, and returns the function that trains it to its end, see `finish`.
 
     Raises:
       base.UserError: it has been done with other options, or is damaged.

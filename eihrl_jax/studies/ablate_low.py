@@ -1,63 +1,41 @@
 """Measures what each option of the low level gains: `python -m experiments.ablate_low`."""
 
-import dataclasses
 import pathlib
 import statistics
-from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
 
 from eihrl_jax import base
-from eihrl_jax.config import checks, presets
+from eihrl_jax.config import changes, checks, limits, presets
 from eihrl_jax.config import low as low_config
 from eihrl_jax.drawing import curves
-from eihrl_jax.reporting import cached_runs
+from eihrl_jax.studies import ablation
 from eihrl_jax.training import low
 
-Change = Callable[[low_config.LowConfig], low_config.LowConfig]
-
-
-def _input(**options: object) -> Change:
-    return lambda best: dataclasses.replace(
-        best, low_input=dataclasses.replace(best.low_input, **options)
-    )
-
-
-def _reward(**options: object) -> Change:
-    return lambda best: dataclasses.replace(
-        best, reward=dataclasses.replace(best.reward, **options)
-    )
-
-
-def _droq(**options: object) -> Change:
-    return lambda best: dataclasses.replace(best, droq=dataclasses.replace(best.droq, **options))
-
-
-def _run(**options: object) -> Change:
-    return lambda best: dataclasses.replace(best, **options)
-
-
-VARIANTS: dict[str, Change] = {
-    "restarted steps": lambda restarting: restarting,
-    "best: no relabelling": _run(relabel="never"),
-    "direction frame": _input(frame="direction"),
-    "world frame": _input(frame="world"),
-    "no progress": _input(use_progress=False),
-    "velocities unscaled": _input(velocity_scale=1.0),
-    "relabelled direction": _run(relabel="direction", relabel_share=1.0),
-    "reward of eq. 1": _reward(lateral_weight=0.0, beyond_cell=1.0),
-    "actor not averaged": _droq(average_rate=1.0),
-    "falls cost 10": _reward(fall_cost=10.0),
-    "falls end nothing": _run(ends_at_fall=False),
-    "no inner walls": _run(num_rooms=0),
+VARIANTS: dict[str, dict[str, object]] = {
+    "restarted steps": {},
+    "best: no relabelling": {"relabel": "never"},
+    "direction frame": {"low_input.frame": "direction"},
+    "world frame": {"low_input.frame": "world"},
+    "no progress": {"low_input.use_progress": False},
+    "velocities unscaled": {"low_input.velocity_scale": 1.0},
+    "relabelled direction": {"relabel": "direction", "relabel_share": 1.0},
+    "reward of eq. 1": {"reward.lateral_weight": 0.0, "reward.beyond_cell": 1.0},
+    "actor not averaged": {"droq.average_rate": 1.0},
+    "falls cost 10": {"reward.fall_cost": 10.0},
+    "falls end nothing": {"ends_at_fall": False},
+    "no inner walls": {"num_rooms": 0},
 }
 """What is changed in `presets.low_restarting`, one thing at a time, by name."""
 
-MEASURED = ("along_mean", "along_std", "lateral_mean", "lateral_std", "falls")
+_DISTANCE_OF = ("along_mean", "along_std", "lateral_mean", "lateral_std")
+_SHOWN = ("along_mean", "along_std", "lateral_std", "falls")
+"""Columns of the metrics, but for their `eval/`."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class AblationConfig:
     """Trains with one option changed at a time, and compares.
 
@@ -75,25 +53,20 @@ class AblationConfig:
     """
 
     robot: str = "ant"
-    variants: tuple[str, ...] = tuple(VARIANTS)
-    seeds: tuple[int, ...] = (0, 1, 2)
-    num_iterations: int = 4_000
+    variants: limits.Several[Annotated[str, limits.OneOf(VARIANTS)]] = tuple(VARIANTS)
+    seeds: limits.Seeds = (0, 1, 2)
+    num_iterations: Annotated[int, limits.Range(500, 2**31 - 1)] = 4_000
     out: pathlib.Path = pathlib.Path("runs/ablation")
 
     def __post_init__(self) -> None:
-        """Checks names and ranges."""
-        checks.each_of("variants", self.variants, tuple(VARIANTS))
-        checks.seeds(self.seeds)
-        checks.in_range("num_iterations", self.num_iterations, 500, 2**31 - 1)
+        """Checks that a run ends with an evaluation."""
         every = presets.low_best().evaluate_every
         checks.divides("evaluate_every", every, "num_iterations", self.num_iterations)
 
 
 def main(config: AblationConfig) -> None:
     """Trains what is missing, then compares what is there."""
-    for seed in config.seeds:
-        for name in config.variants:
-            cached_runs.finish(_options(config, name, seed), low.train)
+    _runs(config).train(config.variants, low.train)
     table = compare(config)
     (config.out / "table.md").write_text(table)
     print(table)
@@ -101,43 +74,36 @@ def main(config: AblationConfig) -> None:
 
 def compare(config: AblationConfig) -> str:
     """Draws the learning curves of finished runs, and returns the table of their ends."""
-    drawn, rows = {}, []
-    for name in VARIANTS:
-        wanted = [_options(config, name, seed) for seed in config.seeds]
-        folders = [options.run for options in wanted if cached_runs.is_finished(options)]
-        if folders:
-            drawn[name] = [error_curve(folder / "metrics.csv") for folder in folders]
-            rows.append(_row(name, folders, [curve[-1, 1] for curve in drawn[name]]))
+    finished = _runs(config).finished()
+    drawn = {variant: [error_curve(file) for file in files] for variant, files in finished.items()}
     curves.save_spread(
         config.out / "curves.png",
         drawn,
         x_label="critic updates",
         y_label="distance from one cell ahead, root mean square, units",
     )
+
     header = ["changed", "runs", "distance", "along", "std", "sideways std", "falls per 1,000"]
-    lines = [header, ["---"] * len(header), *rows]
+    lines = [header, ["---"] * len(header)]
+    for variant, files in finished.items():
+        ends = [[curve[-1, 1] for curve in drawn[variant]]]
+        ends += [[_column(file, name)[-1, 1] for file in files] for name in _SHOWN]
+        lines.append([variant, str(len(files)), *map(_spread, ends)])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
 def error_curve(metrics: pathlib.Path) -> Float[np.ndarray, "N 2"]:
     """Returns critic updates and how far subgoals ended from one cell ahead, root mean square."""
-    per_iteration = presets.low_best().updates_per_iteration
-    columns = {name: curves.read(metrics, "step", f"eval/{name}") for name in MEASURED[:4]}
-    along, along_std, lateral, lateral_std = (column[:, 1] for column in columns.values())
+    columns = [_column(metrics, name) for name in _DISTANCE_OF]
+    along, along_std, lateral, lateral_std = (column[:, 1] for column in columns)
     square = (along - base.CELL) ** 2 + along_std**2 + lateral**2 + lateral_std**2
-    return np.stack([per_iteration * columns["along_mean"][:, 0], np.sqrt(square)], -1)
+    updates = presets.low_best().updates_per_iteration * columns[0][:, 0]
+    return np.stack([updates, np.sqrt(square)], -1)
 
 
-def _row(name: str, folders: list[pathlib.Path], errors: list[float]) -> list[str]:
-    ends = {
-        measured: [
-            float(curves.read(folder / "metrics.csv", "step", f"eval/{measured}")[-1, 1])
-            for folder in folders
-        ]
-        for measured in MEASURED
-    }
-    shown = [ends[measured] for measured in ("along_mean", "along_std", "lateral_std", "falls")]
-    return [name, str(len(folders)), *map(_spread, [errors, *shown])]
+def _column(metrics: pathlib.Path, name: str) -> Float[np.ndarray, "N 2"]:
+    """Returns iterations and what was measured after them."""
+    return curves.read(metrics, "step", f"eval/{name}")
 
 
 def _spread(values: list[float]) -> str:
@@ -146,17 +112,8 @@ def _spread(values: list[float]) -> str:
     return mean if len(values) < 2 else f"{mean} ± {statistics.stdev(values):.2f}"
 
 
-def _options(config: AblationConfig, name: str, seed: int) -> low_config.LowConfig:
-    restarting = dataclasses.replace(
-        presets.low_restarting(),
-        robot=config.robot,
-        num_iterations=config.num_iterations,
-        seed=seed,
-        run=config.out / _folder(name) / f"seed-{seed}",
-        resume=True,
-    )
-    return VARIANTS[name](restarting)
-
-
-def _folder(name: str) -> str:
-    return name.replace(" ", "-").replace(".", "").replace(":", "")
+def _runs(config: AblationConfig) -> ablation.Ablation[low_config.LowConfig]:
+    """Returns all runs that may be compared."""
+    budget = {"robot": config.robot, "num_iterations": config.num_iterations}
+    preset = changes.apply(presets.low_restarting(), budget)
+    return ablation.Ablation(preset=preset, variants=VARIANTS, seeds=config.seeds, out=config.out)

@@ -5,14 +5,14 @@ import functools
 import itertools
 import pathlib
 from collections.abc import Callable
+from typing import Annotated
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import baselines as baselines_config
-from eihrl_jax.config import checks, presets
+from eihrl_jax.config import changes, limits, presets
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.config import high as high_config
-from eihrl_jax.config import higl as higl_config
 from eihrl_jax.envs import hierarchy
 from eihrl_jax.evaluation import loading
 from eihrl_jax.physics import engines
@@ -30,10 +30,40 @@ _SHORT = 300_000
 """Control steps up to which the methods' own schedules are shortened."""
 _ROWS = 20
 """Rows of metrics that HESS's runs have, where an episode of all robots isn't longer than that."""
-_RANDOM_EPISODES = 500  # RAND-H learns nothing: it is measured once, so as precisely as can be had.
+_UNIFORM_EPISODES = 500
+"""RAND-H learns nothing: it is measured once, so as precisely as can be had."""
+
+_HIGL: dict[str, object] = {"adjacency.period": 20_000, "landmarks.first_step": 20_000}
+
+_SHORTENED: dict[str, dict[str, object]] = {
+    "droq": {
+        # One update of the actor and the temperature per control step, as the preset and the
+        # released code have it: the period counts critic updates.
+        "learner.actor_period": 1,
+        "updates_per_step": 1,
+        "capacity": 200_000,
+        "evaluate_every": _EVALUATE_EVERY,  # Rows of 1,000 steps, a fifth of HIGL's.
+    },
+    "higl": _HIGL,
+    "hrac": _HIGL,
+    "hiro": _HIGL,
+    "hess": {
+        "num_envs": 2,  # So that there are rounds enough where an episode is long.
+        "random_steps": 30_000,
+        "capacity": 200,
+        "representation.every": 20_000,
+        "representation.num_updates": 10_000,
+        "exploration.first_step": 20_000,
+        "exploration.potential_step": 50_000,
+    },
+}
+"""What is changed of a method's preset for budgets of some 100,000 control steps."""
+
+_Method = Annotated[str, limits.OneOf(METHODS)]
+_Maze = Annotated[str, limits.OneOf(mazes.NAMES)]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class CompareConfig:
     """Trains each method in each maze for the same number of control steps (Figures 5 and 6).
 
@@ -52,20 +82,12 @@ class CompareConfig:
       out: folder of the runs, named `<method>-<maze>[-dense]-<seed>`.
     """
 
-    methods: tuple[str, ...] = ("ours", "rand_h", "droq", "higl", "hess")
-    mazes: tuple[str, ...] = cached_runs.MAZES
-    rewards: tuple[base.Reward, ...] = base.REWARDS
-    seeds: tuple[int, ...] = (0, 1, 2)
-    num_steps: int = 100_000
+    methods: limits.Several[_Method] = ("ours", "rand_h", "droq", "higl", "hess")
+    mazes: limits.Several[_Maze] = cached_runs.MAZES
+    rewards: limits.Several[base.Reward] = base.REWARDS
+    seeds: limits.Seeds = (0, 1, 2)
+    num_steps: Annotated[int, limits.Range(1, 10_000_000)] = 100_000
     out: pathlib.Path = pathlib.Path("runs/baselines")
-
-    def __post_init__(self) -> None:
-        """Checks names and ranges."""
-        checks.each_of("methods", self.methods, METHODS)
-        checks.each_of("mazes", self.mazes, mazes.NAMES)
-        checks.each_of("rewards", self.rewards, base.REWARDS)
-        checks.seeds(self.seeds)
-        checks.in_range("num_steps", self.num_steps, 1, 10_000_000)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,53 +109,57 @@ def main(config: CompareConfig) -> None:
     tasks = itertools.product(config.seeds, config.rewards, config.mazes, config.methods)
     runs = [Run(method, maze, reward, seed) for seed, reward, maze, method in tasks]
     # Options are made, and so checked, before the first run begins.
-    for work in [_planned(config, run) for run in runs]:
-        work()
+    for make in [_checked(config, run) for run in runs]:
+        make()
 
 
-def _planned(config: CompareConfig, run: Run) -> Callable[[], object]:
-    """Returns what makes a run, unless it is there.
+def _checked(config: CompareConfig, run: Run) -> Callable[[], object]:
+    """Returns the function that makes a run, unless it is there.
 
     Raises:
-      base.UserError: it has been trained with other options.
+      base.UserError: it has been made with other options, or is damaged.
     """
-    if run.method == "ours":
-        return cached_runs.planned(high_options(config, run), _train_ours)
     if run.method == "rand_h":
-        return functools.partial(cached_runs.evaluated, random_options(config, run))
-    return cached_runs.planned(baseline_options(config, run), baselines.train)
+        return functools.partial(cached_runs.evaluated, uniform_options(config, run))
+    if run.method == "ours":
+        return cached_runs.checked(high_options(config, run), _train_ours)
+    return cached_runs.checked(baseline_options(config, run), baselines.train)
 
 
 def high_options(config: CompareConfig, run: Run) -> high_config.HighConfig:
     """Returns the options of a run of ours: few workers, so that there are updates enough."""
     preset = presets.HIGH["best"]
-    learner = dataclasses.replace(preset.learner, num_workers=_WORKERS)
-    assert learner.window is not None
-    per_update = _WORKERS * learner.window * robots.load(preset.task.robot).steps_per_subgoal
+    assert preset.learner.window is not None
+    steps_per_decision = robots.load(preset.task.robot).steps_per_subgoal
+    per_update = _WORKERS * preset.learner.window * steps_per_decision
     rows = max(1, config.num_steps // (per_update * _LOG_EVERY))
-    return dataclasses.replace(
+    return changes.apply(
         preset,
-        task=dataclasses.replace(preset.task, maze=run.maze, reward=run.reward),
-        learner=dataclasses.replace(learner, num_updates=rows * _LOG_EVERY),
-        log_every=_LOG_EVERY,
-        evaluate_every=_EVALUATE_EVERY,
-        checkpoint_every=_EVALUATE_EVERY,
-        num_eval_episodes=_EPISODES,
-        num_devices=1,
-        seed=run.seed,
-        run=run.folder(config),
-        resume=True,
+        {
+            "task.maze": run.maze,
+            "task.reward": run.reward,
+            "learner.num_workers": _WORKERS,
+            "learner.num_updates": rows * _LOG_EVERY,
+            "log_every": _LOG_EVERY,
+            "evaluate_every": _EVALUATE_EVERY,
+            "checkpoint_every": _EVALUATE_EVERY,
+            "num_eval_episodes": _EPISODES,
+            "num_devices": 1,
+            "seed": run.seed,
+            "run": run.folder(config),
+            "resume": True,
+        },
     )
 
 
-def random_options(config: CompareConfig, run: Run) -> evaluate_config.EvaluateConfig:
+def uniform_options(config: CompareConfig, run: Run) -> evaluate_config.EvaluateConfig:
     """Returns the options of RAND-H's evaluation."""
     return evaluate_config.EvaluateConfig(
         mazes=(run.maze,),
         movement=("full",),
         high=(evaluate_config.UNIFORM,),
         reward=run.reward,
-        episodes=_RANDOM_EPISODES,
+        episodes=_UNIFORM_EPISODES,
         seeds=(run.seed,),
         animate="none",
         heatmaps=False,
@@ -145,7 +171,7 @@ def baseline_options(config: CompareConfig, run: Run) -> baselines_config.Baseli
     """Returns the options of a run of `train_baseline`."""
     options = presets.BASELINES[run.method]
     if config.num_steps <= _SHORT:
-        options = _shortened(options)
+        options = changes.apply(options, _SHORTENED[run.method])
     if isinstance(options, hess_config.HessConfig):
         options = _in_rows(options, config, run)
     return dataclasses.replace(
@@ -154,24 +180,23 @@ def baseline_options(config: CompareConfig, run: Run) -> baselines_config.Baseli
         reward=run.reward,
         seed=run.seed,
         num_steps=config.num_steps,
-        checkpoint_every=1 if run.method == "hess" else options.checkpoint_every,
         run=run.folder(config),
         resume=True,
     )
 
 
 def _train_ours(options: high_config.HighConfig) -> None:
-    """Trains a run of ours, evaluated walking too."""
-    high.train(options, walking=_walking(options))
+    """Trains a run of ours, evaluated with physics too."""
+    high.train(options, walking=_with_physics(options))
 
 
-def _walking(options: high_config.HighConfig) -> hierarchy.Hierarchy:
+def _with_physics(options: high_config.HighConfig) -> hierarchy.Hierarchy:
     """Returns the same task with a robot that walks, driven by its shipped low level."""
     task, robot = options.task, robots.load(options.task.robot)
-    moved = high.make_env(task, options.seed)
+    oracle = high.make_env(task, options.seed)
     low_policy = loading.load_low(task.robot, robot)
     engine = engines.make(robot, "mujoco")
-    return loading.full_env(engine, moved.table.mazes, moved.view, low_policy, reward=task.reward)
+    return loading.full_env(engine, oracle.table.mazes, oracle.view, low_policy, reward=task.reward)
 
 
 def _in_rows(
@@ -189,36 +214,5 @@ def _in_rows(
             f"num_steps = {config.num_steps} must be at least {10 * per_round} for hess in "
             f"{run.maze}, which learns in rounds of {per_round}"
         )
-    return dataclasses.replace(options, log_rounds=max(1, config.num_steps // (_ROWS * per_round)))
-
-
-def _shortened(preset: baselines_config.BaselineConfig) -> baselines_config.BaselineConfig:
-    """Returns a preset for budgets of some 100,000 control steps."""
-    if isinstance(preset, baselines_config.FlatConfig):
-        # One update of the actor and the temperature per control step, as the preset and the
-        # released code have it: the period counts critic updates.
-        learner = dataclasses.replace(preset.learner, actor_period=1)
-        return dataclasses.replace(
-            preset,
-            learner=learner,
-            updates_per_step=1,
-            capacity=200_000,
-            evaluate_every=_EVALUATE_EVERY,  # Rows of 1,000 steps, a fifth of HIGL's.
-        )
-    if isinstance(preset, higl_config.HiglConfig):
-        return dataclasses.replace(
-            preset,
-            adjacency=dataclasses.replace(preset.adjacency, period=20_000),
-            landmarks=dataclasses.replace(preset.landmarks, first_step=20_000),
-        )
-    assert isinstance(preset, hess_config.HessConfig)
-    return dataclasses.replace(
-        preset,
-        num_envs=2,  # So that there are rounds enough where an episode is long.
-        random_steps=30_000,
-        capacity=200,
-        representation=dataclasses.replace(preset.representation, every=20_000, num_updates=10_000),
-        exploration=dataclasses.replace(
-            preset.exploration, first_step=20_000, potential_step=50_000
-        ),
-    )
+    log_rounds = max(1, config.num_steps // (_ROWS * per_round))
+    return dataclasses.replace(options, log_rounds=log_rounds, checkpoint_every=1)

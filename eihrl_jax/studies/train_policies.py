@@ -1,19 +1,22 @@
 """Trains every shipped high level again: `python -m experiments.train_policies`."""
 
-import dataclasses
 import itertools
 import pathlib
 import shutil
+from typing import Annotated
 
 from eihrl_jax import base, mazes
-from eihrl_jax.config import checks, presets
+from eihrl_jax.config import changes, limits, presets
 from eihrl_jax.config import high as high_config
 from eihrl_jax.reporting import cached_runs
 from eihrl_jax.runs import policies
 from eihrl_jax.training import high
 
+_Preset = Annotated[str, limits.OneOf(presets.HIGH)]
+_Maze = Annotated[str, limits.OneOf(mazes.NAMES)]
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+
+@limits.dataclass
 class PoliciesConfig:
     """Trains high levels, each preset in each maze with each seed.
 
@@ -30,19 +33,12 @@ class PoliciesConfig:
       ship: copy what is finished into the package, in place of what is shipped.
     """
 
-    presets: tuple[str, ...] = tuple(presets.HIGH)
-    mazes: tuple[str, ...] = cached_runs.MAZES
-    rewards: tuple[base.Reward, ...] = ("sparse",)
-    seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
+    presets: limits.Several[_Preset] = tuple(presets.HIGH)
+    mazes: limits.Several[_Maze] = cached_runs.MAZES
+    rewards: limits.Several[base.Reward] = ("sparse",)
+    seeds: limits.Seeds = (0, 1, 2, 3, 4)
     out: pathlib.Path = pathlib.Path("runs/policies")
     ship: bool = False
-
-    def __post_init__(self) -> None:
-        """Checks names and ranges."""
-        checks.each_of("presets", self.presets, tuple(presets.HIGH))
-        checks.each_of("mazes", self.mazes, mazes.NAMES)
-        checks.each_of("rewards", self.rewards, base.REWARDS)
-        checks.seeds(self.seeds)
 
 
 def main(config: PoliciesConfig) -> None:
@@ -60,11 +56,11 @@ def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
     for name, reward in itertools.product(config.presets, config.rewards):
         preset = presets.HIGH[name]
         for maze in ("rooms",) if preset.task.num_rooms else config.mazes:
-            task = dataclasses.replace(preset.task, reward=reward)
-            if not task.num_rooms:
-                task = dataclasses.replace(task, maze=maze)
             run = config.out / cached_runs.name(name, maze, reward, seed)
-            runs.append(dataclasses.replace(preset, task=task, seed=seed, run=run, resume=True))
+            own = {"task.reward": reward, "seed": seed, "run": run, "resume": True}
+            if not preset.task.num_rooms:
+                own["task.maze"] = maze
+            runs.append(changes.apply(preset, own))
     return runs
 
 

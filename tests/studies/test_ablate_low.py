@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from eihrl_jax import base
-from eihrl_jax.config import codec, presets
+from eihrl_jax.config import changes, codec, presets
 from eihrl_jax.runs import policies
 from eihrl_jax.studies import ablate_low
 
@@ -16,14 +16,14 @@ def _finished(config, name, seed, *rows):
     folder = config.out / name.replace(" ", "-") / f"seed-{seed}"
     meta = {"robot": "ant", "num_iterations": config.num_iterations}
     policies.save(folder / "policy", kind="low", params={}, meta=meta)
-    best = dataclasses.replace(
+    restarting = dataclasses.replace(
         presets.low_restarting(),
         num_iterations=config.num_iterations,
         seed=seed,
         run=folder,
         resume=True,
     )
-    trained = ablate_low.VARIANTS[name](best)
+    trained = changes.apply(restarting, ablate_low.VARIANTS[name])
     (folder / "config.json").write_text(codec.to_json(trained))
     (folder / "metrics.csv").write_text("\n".join([HEADER, *rows]) + "\n")
 
@@ -55,9 +55,10 @@ def test_runs_of_another_budget_are_not_mixed_in(tmp_path):
 
 def test_every_variant_but_the_first_changes_something_and_one_is_the_preset():
     restarting = presets.low_restarting()
-    for name, change in ablate_low.VARIANTS.items():
-        assert (change(restarting) == restarting) == (name == "restarted steps")
-        assert (change(restarting) == presets.low_best()) == name.startswith("best")
+    for name, options in ablate_low.VARIANTS.items():
+        changed = changes.apply(restarting, options)
+        assert (changed == restarting) == (name == "restarted steps")
+        assert (changed == presets.low_best()) == name.startswith("best")
 
 
 @pytest.mark.parametrize(

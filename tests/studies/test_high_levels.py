@@ -5,9 +5,9 @@ import dataclasses
 import pytest
 
 from eihrl_jax import base
+from eihrl_jax.config import changes, presets
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
-from eihrl_jax.config import presets
 from eihrl_jax.reporting import cached_runs, report
 from eihrl_jax.runs import policies
 from eihrl_jax.studies import ablate_high, train_policies
@@ -168,8 +168,8 @@ def test_variants_of_a_preset_are_trained_and_compared(tmp_path, monkeypatch):
 
 def test_every_variant_changes_something():
     for preset in (presets.high_paper(), presets.high_best()):
-        for name, change in ablate_high.variants(preset.preset).items():
-            assert (change(preset) == preset) == (name == "preset")
+        for name, options in ablate_high.variants(preset.preset).items():
+            assert (changes.apply(preset, options) == preset) == (name == "preset")
     with pytest.raises(base.UserError, match=r"variants = 'none' must be one of preset, "):
         ablate_high.AblationConfig(variants=("none",))
     with pytest.raises(base.UserError, match="log_every = 100 must divide num_updates = 250"):
