@@ -82,13 +82,13 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
     for item in prepared:
         title = f"{item.agent.robot}, {item.agent.movement} movement, {item.agent.high}"
         with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
-            found, seconds = item.runner.run(item.high_policy, progress)
+            found = item.runner.run(item.high_policy, progress)
         yield Evaluated(
             agent=item.agent,
             robot=item.robot,
             mazes=chosen,
             rollouts=found,
-            seconds=seconds,
+            seconds=progress.seconds,
             is_last=item is prepared[-1],
         )
 

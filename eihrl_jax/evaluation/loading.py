@@ -23,7 +23,6 @@ from eihrl_jax.envs import (
     postures,
     raster,
     subgoals,
-    task,
 )
 from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import actor_critic, droq
@@ -58,11 +57,6 @@ class RecordableOracle:
 
     env: oracle_maze.OracleMaze
     qpos: Float[Array, "N nq"]
-
-    @property
-    def table(self) -> task.MazeTable:
-        """Its mazes."""
-        return self.env.table
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""

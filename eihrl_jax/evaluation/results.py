@@ -12,6 +12,7 @@ import re
 from typing import Any
 
 import numpy as np
+from flax import struct
 from jaxtyping import Bool, Float, Int
 
 from eihrl_jax import base
@@ -51,9 +52,8 @@ class Agent:
         return re.sub(r"[^\w.-]+", "_", "-".join(words))
 
 
-@dataclasses.dataclass(frozen=True)
-class Episodes:
-    """Numbers of E finished episodes in one maze.
+class Episodes(struct.PyTreeNode):
+    """Numbers of E finished episodes, on the host.
 
     Attributes:
       achieved: int [E], goals reached.

@@ -5,11 +5,11 @@ other episodes run beside it changes nothing. One that is over rests and costs n
 """
 
 import dataclasses
+import functools
 import math
-import time
 import zlib
-from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Callable, Hashable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +18,10 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 
 from eihrl_jax import base, mazes
-from eihrl_jax.envs import hierarchy, task
+from eihrl_jax.envs import hierarchy
 from eihrl_jax.evaluation import recording as recording_lib
 from eihrl_jax.evaluation import results
+from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import tree
 from eihrl_jax.runs import progress as progress_lib
 
@@ -30,18 +31,16 @@ MAX_ROWS = 1024
 BINS_PER_CELL = 6
 """Bins along a cell's side, in which visits are counted."""
 
-HighPolicy = Callable[[Any, Key[Array, ""]], Int[Array, ""]]
+HighPolicy = Callable[[Bool[Array, "P P C"] | None, Key[Array, ""]], Int[Array, ""]]
 """From the patch and a key to a direction; a pytree (`jax.tree_util.Partial`) of its parameters."""
 
 
 @runtime_checkable
 class Recordable(Protocol):
-    """An environment of decisions that also tells the way, see `envs.hierarchy.Hierarchy`."""
+    """An environment of decisions that also returns the way, see `envs.hierarchy.Hierarchy`.
 
-    @property
-    def table(self) -> task.MazeTable:
-        """Its mazes."""
-        ...
+    Its inner states have `nav`, an `envs.task.Navigation`.
+    """
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
         """Draws a new episode."""
@@ -54,17 +53,17 @@ class Recordable(Protocol):
         ...
 
 
-class Step(struct.PyTreeNode):
-    """One decision of E episodes.
+class Decision(struct.PyTreeNode):
+    """What episodes did in one decision.
 
     Attributes:
-      obs: bool [E, P, P, C], what the high level saw; None where there is none of ours.
-      action: int32 [E].
-      trace: the way, with leading axis E.
+      obs: bool [..., P, P, C], what the high level saw; None for a baseline.
+      action: int32 [...].
+      trace: the way.
     """
 
-    obs: Bool[Array, "E P P C"] | None
-    action: Int[Array, " E"]
+    obs: Bool[Array, "*n P P C"] | None
+    action: Int[Array, "*n"]
     trace: hierarchy.Trace
 
 
@@ -74,7 +73,8 @@ class Rollout:
 
     Attributes:
       episodes: their numbers.
-      share: see `drawing.heatmap.Visits`.
+      share: float [R * b, C * b], b = `BINS_PER_CELL`, share of the episodes in which the torso was
+        in a bin at least once, in [0, 1]; row 0 is the north.
       recordings: the first episodes of the first seed, to be drawn.
     """
 
@@ -100,39 +100,35 @@ class Plan:
     num_recorded: int = 0
 
     @property
+    def rows(self) -> Int[np.ndarray, "N 3"]:
+        """Seed, maze and number of every episode."""
+        shape = (len(self.seeds), len(self.mazes), self.num_episodes)
+        seed, maze, episode = np.indices(shape).reshape(3, -1)
+        return np.stack([np.array(self.seeds)[seed], maze, episode], 1)
+
+    @property
+    def limits(self) -> Int[np.ndarray, " M"]:
+        """Most decisions that an episode can take, by maze."""
+        return np.array([int(maze.num_decisions) for maze in self.mazes.values()])
+
+    @property
     def num_decisions(self) -> int:
         """Most decisions that all episodes can take together."""
-        limits = sum(int(maze.num_decisions) for maze in self.mazes.values())
-        return limits * len(self.seeds) * self.num_episodes
+        return int(self.limits.sum()) * len(self.seeds) * self.num_episodes
 
 
-@dataclasses.dataclass(frozen=True)
-class _Batch:
-    """Finished episodes that ran together, E of them.
+class _Batch(NamedTuple):
+    """Finished episodes that ran together.
 
     Attributes:
-      rows: int [E, 3], seed, maze and number of each.
-      columns: arrays [E] by field of `results.Episodes`.
-      recordings: by row of the batch.
+      episodes: their numbers.
+      visits: int [M, rows, columns], in how many episodes of each maze the torso was in each bin.
+      recordings: by maze.
     """
 
-    rows: Int[np.ndarray, "E 3"]
-    columns: dict[str, np.ndarray]
-    recordings: dict[int, recording_lib.Recording]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Programs:
-    """Compiled functions for batches of one size.
-
-    Attributes:
-      reset: from environments' keys and mazes to first states.
-      decide: from high level, states, high levels' keys and the decision's number to the states
-        after it, and what was decided.
-    """
-
-    reset: Callable[..., Any]
-    decide: Callable[..., Any]
+    episodes: results.Episodes
+    visits: Int[np.ndarray, "M rows columns"]
+    recordings: list[list[recording_lib.Recording]]
 
 
 class Runner:
@@ -148,25 +144,17 @@ class Runner:
           env: environment of the plan's mazes, in their order.
           plan: which episodes.
         """
-        self._env = env
-        self._plan = plan
-        self._rows = np.array(
-            [
-                (seed, maze, episode)
-                for seed in plan.seeds
-                for maze in range(len(plan.mazes))
-                for episode in range(plan.num_episodes)
-            ]
-        )
+        self._env, self._plan = env, plan
+        self._rows, self._mazes = plan.rows, list(plan.mazes.values())
+        self._bins = BINS_PER_CELL * np.max([maze.wall.shape for maze in self._mazes], axis=0)
+        self._num_recorded = len(self._mazes) * min(plan.num_recorded, plan.num_episodes)
+        # All batches have one size, so that nothing is compiled twice; the last is filled up.
         num_batches = math.ceil(len(self._rows) / MAX_ROWS)
-        # All batches have one size, so that nothing is compiled twice; the last may run on in vain.
         self._size = math.ceil(len(self._rows) / num_batches)
-        self._reset: Callable[..., Any] | None = None
-        self._compiled: dict[Any, _Programs] = {}
+        self._reset = jax.jit(jax.vmap(env.reset))
+        self._compiled: dict[Hashable, jax.stages.Compiled] = {}
 
-    def run(
-        self, high_policy: HighPolicy, progress: progress_lib.Progress
-    ) -> tuple[dict[str, Rollout], float]:
+    def run(self, high_policy: HighPolicy, progress: progress_lib.Progress) -> dict[str, Rollout]:
         """Runs the episodes.
 
         Args:
@@ -174,119 +162,163 @@ class Runner:
           progress: is told the decisions spent; those that an episode did not need count as spent.
 
         Returns:
-          What happened in each maze, and the seconds that it took, compiling left out.
+          What happened, by maze.
         """
-        rows, size, plan = self._rows, self._size, self._plan
-        loop = _Loop(self._env, plan, high_policy, self._programs(high_policy, progress), progress)
-        start = time.monotonic()
-        batches = [loop.run(rows[i : i + size], size) for i in range(0, len(rows), size)]
-        seconds = time.monotonic() - start
-        found = {
-            name: _rollout(batches, loop.visits[i], plan, i) for i, name in enumerate(plan.mazes)
-        }
-        return found, seconds
+        decide = functools.partial(self._compile(high_policy, progress), high_policy)
+        rows, limits = self._rows, self._plan.limits[self._rows[:, 1]]
+        spent, success = np.zeros(len(rows), int), np.zeros(len(rows))
 
-    def _programs(self, high_policy: HighPolicy, progress: progress_lib.Progress) -> _Programs:
-        """Returns what is compiled for high levels like this one."""
-        leaves, structure = jax.tree.flatten(high_policy)
-        kind = (structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
+        def report(here: slice, state: base.EnvState) -> None:
+            num = len(rows[here])
+            decisions = np.asarray(state.inner.nav.decisions)[:num]
+            spent[here] = np.where(_is_over(state)[:num], limits[here], decisions)
+            success[here] = np.asarray(state.metrics["success"])[:num]
+            progress.update(int(spent.sum()), {"success": success[: here.stop].mean()})
+
+        batches = []
+        for first in range(0, len(rows), self._size):
+            here = slice(first, first + self._size)
+            batches.append(self._run_batch(decide, rows[here], functools.partial(report, here)))
+        return self._by_maze(batches)
+
+    def _compile(
+        self, high_policy: HighPolicy, progress: progress_lib.Progress
+    ) -> jax.stages.Compiled:
+        """Returns the program of a decision of all episodes for high levels like this one."""
+        kind = jax.tree.structure(high_policy)
         if kind not in self._compiled:
             with progress.compiling("episodes"):
-                self._compiled[kind] = self._compile(high_policy)
+                # Not left to the first call: `jit` would compile once more when the states come
+                # back committed to the device of a loaded policy. Bins are marked in place.
+                decide = jax.jit(self._decide, donate_argnames="was_there")
+                first = *self._begin(self._rows), jnp.int32(0)
+                self._compiled[kind] = decide.lower(high_policy, *first).compile()
         return self._compiled[kind]
-
-    def _compile(self, high_policy: HighPolicy) -> _Programs:
-        keys = jax.vmap(jax.random.key)(jnp.zeros(self._size, jnp.uint32))
-        index = jnp.zeros(self._size, jnp.int32)
-        reset = jax.jit(jax.vmap(self._env.reset))
-        if self._reset is None:  # the same whoever chooses
-            self._reset = reset.lower(keys, index).compile()
-        states = jax.eval_shape(reset, keys, index)
-        decide = jax.jit(self._decide).lower(high_policy, states, keys, jnp.int32(0))
-        return _Programs(self._reset, decide.compile())
 
     def _decide(
         self,
         high_policy: HighPolicy,
-        states: base.EnvState,
+        state: base.EnvState,
+        was_there: Bool[Array, "E rows columns"],
         keys: Key[Array, " E"],
+        recorded: Int[Array, " R"],
         t: Int[Array, ""],
-    ) -> tuple[base.EnvState, Step]:
-        """Makes decision `t` of every episode that is not over."""
+    ) -> tuple[base.EnvState, Bool[Array, "E rows columns"], Decision]:
+        """Makes decision `t` of every episode that is not over, and picks what is recorded of it.
 
-        def decide(state: base.EnvState, key: Key[Array, ""]) -> tuple[base.EnvState, Step]:
+        Args:
+          high_policy: chooses the directions.
+          state: of the environments.
+          was_there: bins in which the torso has been.
+          keys: of the high level's draws, the same in all decisions.
+          recorded: rows of the episodes that are recorded.
+          t: number of the decision.
+
+        Returns:
+          The next two of these, and the decision of the recorded episodes.
+        """
+
+        def decide(
+            state: base.EnvState, was_there: Bool[Array, "rows columns"], key: Key[Array, ""]
+        ) -> tuple[base.EnvState, Bool[Array, "rows columns"], Decision]:
             action = high_policy(state.obs, jax.random.fold_in(key, t))
             following, trace = self._env.trace(state, action)
-            is_over = state.terminated | state.truncated
-            kept = tree.where(is_over, state, following)
-            return kept, Step(obs=state.obs, action=action, trace=trace)
+            kept = tree.where(state.terminated | state.truncated, state, following)
+            decision = Decision(obs=state.obs, action=action, trace=trace)
+            return kept, _mark(was_there, trace), decision
 
-        return jax.vmap(decide)(states, keys)
+        state, was_there, decision = jax.vmap(decide)(state, was_there, keys)
+        return state, was_there, jax.tree.map(lambda leaf: leaf[recorded], decision)
 
-
-class _Loop:
-    """The loop around one high level's decisions.
-
-    Attributes:
-      visits: int [rows, columns] of each maze, in how many of its episodes the torso was in each
-        bin; a maze's own bins begin at the top left.
-    """
-
-    def __init__(
+    def _run_batch(
         self,
-        env: Recordable,
-        plan: Plan,
-        high_policy: HighPolicy,
-        programs: _Programs,
-        progress: progress_lib.Progress,
-    ):
-        self._env = env
-        self._plan = plan
-        self._high_policy = high_policy
-        self._programs = programs
-        self._progress = progress
-        self._spent = 0
-        self._solved: list[np.ndarray] = []
-        self.visits = np.zeros((len(plan.mazes), *_bins(env)), np.int32)
-
-    def run(self, rows: Int[np.ndarray, "E 3"], size: int) -> _Batch:
-        """Runs episodes to their ends, in a batch filled up to `size`."""
-        padded = np.concatenate([rows, rows[:1].repeat(size - len(rows), 0)])
-        env_keys, high_keys = _streams(padded, list(self._plan.mazes))
-        index = jnp.asarray(padded[:, 1], jnp.int32)
-        states = self._programs.reset(env_keys, index)
-        limit = self._env.table.mazes.num_decisions[index][: len(rows)]
-        is_recorded = (rows[:, 0] == self._plan.seeds[0]) & (rows[:, 2] < self._plan.num_recorded)
-        recorded = np.flatnonzero(is_recorded)
-        history: list[Step] = []
-        was_there = np.zeros((len(rows), *_bins(self._env)), bool)
-        is_over = np.zeros(len(rows), bool)
-        while not is_over.all():
+        decide: Callable[..., tuple[base.EnvState, Array, Decision]],
+        rows: Int[np.ndarray, "E 3"],
+        report: Callable[[base.EnvState], None],
+    ) -> _Batch:
+        """Runs episodes to their ends."""
+        state, was_there, keys, recorded = self._begin(rows)
+        history: list[Decision] = []
+        is_over = False
+        while not is_over:
             t = jnp.int32(len(history))
-            states, step = self._programs.decide(self._high_policy, states, high_keys, t)
-            _mark(was_there, step.trace)
-            history.append(jax.tree.map(lambda leaf: np.asarray(leaf)[recorded], step))
-            is_over = np.asarray(states.terminated | states.truncated)[: len(rows)]
-            self._report(states, limit, is_over)
-        self._spent += int(limit.sum())
-        columns = _columns(states, len(rows))
-        self._solved.append(np.asarray(states.metrics["success"])[: len(rows)])
-        recordings = {
-            row: _recording(self._env, self._plan, states, history, row, i)
-            for i, row in enumerate(recorded.tolist())
-        }
-        for maze in np.unique(rows[:, 1]):
-            self.visits[maze] += was_there[rows[:, 1] == maze].sum(0, np.int32)
-        return _Batch(rows, columns, recordings)
+            state, was_there, decision = decide(state, was_there, keys, recorded, t)
+            history.append(jax.device_get(decision))
+            is_over = bool(_is_over(state).all())
+            report(state)
+        return self._finish(rows, state, was_there, history)
 
-    def _report(
-        self, states: base.EnvState, limit: Int[Array, " E"], is_over: Bool[np.ndarray, " E"]
-    ) -> None:
-        """Tells how far the batch is, and the success so far of all its episodes."""
-        decisions = np.asarray(states.inner.nav.decisions)[: len(is_over)]
-        spent = self._spent + int(np.where(is_over, limit, decisions).sum())
-        success = np.asarray(states.metrics["success"])[: len(is_over)]
-        self._progress.update(spent, {"success": np.concatenate([*self._solved, success]).mean()})
+    def _begin(
+        self, rows: Int[np.ndarray, "_ 3"]
+    ) -> tuple[base.EnvState, Bool[Array, "E rows columns"], Key[Array, " E"], Int[Array, " R"]]:
+        """Returns what `_decide` takes between policy and number of the decision."""
+        # A short batch repeats its rows; `_finish` leaves out what is beyond them.
+        padded = np.resize(rows, (self._size, 3))
+        env_keys, high_keys = _streams(padded, list(self._plan.mazes))
+        state = self._reset(env_keys, jnp.asarray(padded[:, 1], jnp.int32))
+        was_there = jnp.zeros((self._size, *self._bins), bool)
+        # As many in every batch, since they are an argument of one shape.
+        recorded = np.resize(self._recorded(rows), self._num_recorded)
+        return state, was_there, high_keys, jnp.asarray(recorded, jnp.int32)
+
+    def _recorded(self, rows: Int[np.ndarray, "E 3"]) -> Int[np.ndarray, " R"]:
+        """Returns which rows of a batch are recorded."""
+        plan = self._plan
+        return np.flatnonzero((rows[:, 0] == plan.seeds[0]) & (rows[:, 2] < plan.num_recorded))
+
+    def _finish(
+        self,
+        rows: Int[np.ndarray, "E 3"],
+        state: base.EnvState,
+        was_there: Bool[Array, "_ rows columns"],
+        history: list[Decision],
+    ) -> _Batch:
+        """Reads the numbers, visits and recordings of a batch that is over."""
+        nav, metrics, visited = jax.tree.map(
+            lambda leaf: np.asarray(leaf)[: len(rows)],
+            (state.inner.nav, state.metrics, was_there),
+        )
+        never = np.zeros(len(rows))
+        episodes = results.Episodes(
+            achieved=nav.visited.sum(-1),
+            returns=metrics["return"],
+            decisions=nav.decisions,
+            has_fallen=metrics.get("fell", never) > 0.0,
+            is_unstable=metrics.get("broke_down", never) > 0.0,
+            seed=rows[:, 0],
+        )
+        visits = [visited[rows[:, 1] == maze].sum(0) for maze in range(len(self._mazes))]
+
+        recordings: list[list[recording_lib.Recording]] = [[] for _ in self._mazes]
+        decisions = jax.tree.map(lambda *leaves: np.stack(leaves, 1), *history)
+        for i, row in enumerate(self._recorded(rows)):
+            maze, num = rows[row, 1], nav.decisions[row]
+            opened = maze_lib.open_door(self._mazes[maze], jnp.asarray(nav.door_ij[row]))
+            own = jax.tree.map(lambda leaf, i=i, num=num: leaf[i, :num], decisions)
+            recordings[maze].append(_recording(opened, own))
+        return _Batch(episodes, np.stack(visits), recordings)
+
+    def _by_maze(self, batches: list[_Batch]) -> dict[str, Rollout]:
+        """Sorts what happened in all batches by maze."""
+        all_episodes = [batch.episodes for batch in batches]
+        episodes = jax.tree.map(lambda *parts: np.concatenate(parts), *all_episodes)
+        visits = np.sum([batch.visits for batch in batches], axis=0)
+
+        rollouts = {}
+        for index, (name, maze) in enumerate(self._plan.mazes.items()):
+            is_here = self._rows[:, 1] == index
+            num_rows, num_columns = (BINS_PER_CELL * side for side in maze.wall.shape)
+            rollouts[name] = Rollout(
+                episodes=jax.tree.map(lambda column, here=is_here: column[here], episodes),
+                share=visits[index, :num_rows, :num_columns] / is_here.sum(),
+                recordings=[each for batch in batches for each in batch.recordings[index]],
+            )
+        return rollouts
+
+
+def _is_over(state: base.EnvState) -> Bool[np.ndarray, " E"]:
+    """Returns which episodes are over."""
+    return np.asarray(state.terminated) | np.asarray(state.truncated)
 
 
 def _streams(
@@ -309,85 +341,27 @@ def _streams(
     return keys[:, 0], keys[:, 1]
 
 
-def _bins(env: Recordable) -> tuple[int, int]:
-    """Returns the number of bins along and across the mazes."""
-    _, rows, columns = env.table.mazes.wall.shape
-    return rows * BINS_PER_CELL, columns * BINS_PER_CELL
-
-
-def _mark(was_there: Bool[np.ndarray, "E rows columns"], trace: hierarchy.Trace) -> None:
-    """Marks the bins in which running episodes are, in place."""
-    num, num_rows, num_columns = was_there.shape
-    is_running = np.asarray(trace.is_running)[:num]
-    xy = np.asarray(trace.qpos)[:num, :, :2][is_running]
-    episode = np.nonzero(is_running)[0]
+def _mark(
+    was_there: Bool[Array, "rows columns"], trace: hierarchy.Trace
+) -> Bool[Array, "rows columns"]:
+    """Marks the bins that the torso of a running episode comes through."""
+    num_rows, _ = was_there.shape
+    x, y = trace.qpos[:, 0], trace.qpos[:, 1]
     side = base.CELL / BINS_PER_CELL
-    i, j = np.floor(-xy[:, 1] / side).astype(int), np.floor(xy[:, 0] / side).astype(int)
-    is_inside = (i >= 0) & (i < num_rows) & (j >= 0) & (j < num_columns)
-    was_there[episode[is_inside], i[is_inside], j[is_inside]] = True
+    i, j = jnp.floor(-y / side).astype(jnp.int32), jnp.floor(x / side).astype(jnp.int32)
+    # Beyond the last row nothing is marked; a negative index would count from the end.
+    i = jnp.where(trace.is_running & (i >= 0) & (j >= 0), i, num_rows)
+    return was_there.at[i, j].set(True, mode="drop")
 
 
-def _columns(states: base.EnvState, num: int) -> dict[str, np.ndarray]:
-    """Reads the numbers of the first `num` episodes, which are over."""
-    never = np.zeros(num)
-    metrics = {name: np.asarray(value)[:num] for name, value in states.metrics.items()}
-    return {
-        "achieved": np.asarray(states.inner.nav.visited)[:num].sum(-1),
-        "returns": metrics["return"],
-        "decisions": np.asarray(states.inner.nav.decisions)[:num],
-        "has_fallen": metrics.get("fell", never) > 0.0,
-        "is_unstable": metrics.get("broke_down", never) > 0.0,
-    }
-
-
-def _recording(
-    env: Recordable, plan: Plan, states: base.EnvState, history: list[Step], row: int, i: int
-) -> recording_lib.Recording:
-    """Puts together the recording of one episode: `row` of the batch, `i` of those recorded."""
-    nav = jax.tree.map(lambda leaf: leaf[row], states.inner.nav)
-    name = list(plan.mazes)[int(nav.maze)]
-    rows, columns = plan.mazes[name].wall.shape
-    maze = task.drawn_maze(env.table, nav)
-    maze = maze.replace(
-        **{
-            field: getattr(maze, field)[:rows, :columns]
-            for field in ("wall", "goal", "start", "door")
-        }
-    )
-    num_decisions = int(nav.decisions)
-    steps = [jax.tree.map(lambda leaf: leaf[i], step) for step in history[:num_decisions]]
-    is_running = np.concatenate([step.trace.is_running for step in steps])
-    decision = np.repeat(np.arange(num_decisions), len(steps[0].trace.is_running))
-    is_ours = steps[0].obs is not None
+def _recording(maze: mazes.Maze, decisions: Decision) -> recording_lib.Recording:
+    """Puts together the recording of one episode, in a maze whose door is open."""
+    trace, is_running = decisions.trace, np.asarray(decisions.trace.is_running)
     return recording_lib.Recording(
         maze=maze,
-        qpos=np.concatenate([step.trace.qpos for step in steps])[is_running],
-        decision=decision[is_running],
-        direction=np.array([step.action for step in steps]) if is_ours else None,
-        patch=np.array([step.obs for step in steps]) if is_ours else None,
-        is_fallen=np.concatenate([step.trace.is_fallen for step in steps])[is_running],
-    )
-
-
-def _rollout(
-    batches: list[_Batch], visits: Int[np.ndarray, "rows columns"], plan: Plan, maze: int
-) -> Rollout:
-    """Collects the episodes of one maze from all batches."""
-    rows = np.concatenate([batch.rows for batch in batches])
-    is_here = rows[:, 1] == maze
-    columns = {
-        name: np.concatenate([batch.columns[name] for batch in batches])[is_here]
-        for name in batches[0].columns
-    }
-    num_rows, num_columns = list(plan.mazes.values())[maze].wall.shape
-    count = visits[: num_rows * BINS_PER_CELL, : num_columns * BINS_PER_CELL]
-    return Rollout(
-        episodes=results.Episodes(**columns, seed=rows[is_here, 0]),
-        share=count / is_here.sum(),
-        recordings=[
-            recording
-            for batch in batches
-            for row, recording in batch.recordings.items()
-            if batch.rows[row, 1] == maze
-        ],
+        qpos=np.asarray(trace.qpos)[is_running],
+        decision=np.nonzero(is_running)[0],
+        direction=None if decisions.obs is None else np.asarray(decisions.action),
+        patch=None if decisions.obs is None else np.asarray(decisions.obs),
+        is_fallen=np.asarray(trace.is_fallen)[is_running],
     )

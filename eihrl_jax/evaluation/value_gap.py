@@ -136,7 +136,7 @@ def _values(
     """Returns success and discounted success of every episode, by maze."""
     plan = rollouts.Plan(mazes=chosen, seeds=(options.seed,), num_episodes=num_episodes)
     with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
-        found, _ = rollouts.Runner(env, plan).run(high.policy, progress)
+        found = rollouts.Runner(env, plan).run(high.policy, progress)
     values = {}
     for name, rollout in found.items():
         success = (np.asarray(rollout.episodes.achieved) > 0).astype(float)

@@ -137,7 +137,7 @@ def random_walk(num_episodes, *, seeds=(0,), num_recorded=0):
     )
     high = loading.load_high("uniform")
     with progress.Progress("walk", plan.num_decisions) as bar:
-        return rollouts.Runner(env, plan).run(high.policy, bar)[0]["random"]
+        return rollouts.Runner(env, plan).run(high.policy, bar)["random"]
 
 
 def test_random_walk_succeeds_as_often_as_on_the_grid():
@@ -166,23 +166,23 @@ def test_batches_change_nothing(monkeypatch):
     np.testing.assert_array_equal(together.recordings[1].qpos, apart.recordings[1].qpos)
 
 
-def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, monkeypatch):
+def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, monkeypatch, capsys):
     robot, chosen = robots.load("point"), {"u": mazes.load("u", num_decisions=2)}
     high = loading.load_high(str(folder / "high"))
     gait = subgoals.gait(robot, None, 3.0, 0.0)
     env = loading.oracle_env(robot, mazes.stack(list(chosen.values())), high.view, gait=gait)
     plan = rollouts.Plan(mazes=chosen, seeds=(0,), num_episodes=3, num_recorded=1)
     runner = rollouts.Runner(env, plan)
-    compiled = []
-    original = rollouts.Runner._compile
+    traced = []
+    original = loading.RecordableOracle.trace
     monkeypatch.setattr(
-        rollouts.Runner, "_compile", lambda *args: compiled.append(1) or original(*args)
+        loading.RecordableOracle, "trace", lambda *args: traced.append(1) or original(*args)
     )
 
     def directions(policy):
         with progress.Progress("walk", plan.num_decisions) as bar:
-            found, _ = runner.run(policy, bar)
-        return found["u"].recordings[0].direction.tolist()
+            rollout = runner.run(policy, bar)["u"]
+        return rollout.recordings[0].direction.tolist()
 
     (params,) = high.policy.args
     for direction in range(4):
@@ -190,9 +190,10 @@ def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, m
         layers = params["params"] | {"logits": params["params"]["logits"] | {"bias": bias}}
         policy = jax.tree_util.Partial(high.policy.func, {"params": layers})
         assert directions(policy) == [direction] * 2
-    assert len(compiled) == 1
+    assert len(traced) == 1
     directions(loading.load_high(str(folder / "high"), greedy=True).policy)
-    assert len(compiled) == 2
+    assert len(traced) == 2
+    assert capsys.readouterr().out.count("walk: compiled episodes in") == 2
 
 
 def test_only_running_episodes_leave_traces():
