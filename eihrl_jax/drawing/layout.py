@@ -90,7 +90,7 @@ def draw_patch(
 
     Args:
       axes: where to; gets the view's size and labels in units from the torso.
-      patch: channels wall, unvisited goal, robot; see `raster.patch`.
+      patch: channels wall, unvisited goal, robot; see `raster.draw`.
       view: extent and resolution of the patch.
       title: what stands above it.
     """

@@ -23,7 +23,7 @@ def draw_pose(
     qpos = (stand + robot.qpos_noise * noise).at[:2].set(xy)
     qvel = robot.qvel_noise * jax.random.normal(qvel_key, (model.nv,))
 
-    # The root itself gets no noise, only a heading.
+    # A root that can turn gets a heading instead of noise; a free one stands upright.
     yaw = jax.random.uniform(yaw_key, (), minval=-jnp.pi, maxval=jnp.pi)
     if robot.root == "free":
         zero = jnp.zeros_like(yaw)
@@ -64,6 +64,7 @@ def advance(
 ) -> tuple[engine_lib.PhysicsState, Bool[Array, ""]]:
     """Advances a robot among walls at `walls_xy`, units; see `move`."""
     stepped = engine.step(physics, ctrl, walls_xy, is_running)
+    # Controls too: an engine may clip infinite ones, and then nothing else would show.
     numbers = jnp.concatenate([stepped.qpos, stepped.qvel, ctrl])
     is_broken = is_running & ~jnp.isfinite(numbers).all()
     return tree.where(is_broken, physics, stepped), is_broken
@@ -74,5 +75,6 @@ def is_fallen(qpos: Float[Array, " nq"], robot: robot_lib.Robot) -> Bool[Array, 
     if robot.healthy_z is None:
         return jnp.zeros((), bool)
     low, high = robot.healthy_z
+    # The z component of the torso's own z axis, from its quaternion.
     up_z = 1.0 - 2.0 * (jnp.square(qpos[4]) + jnp.square(qpos[5]))
     return (qpos[2] < low) | (qpos[2] > high) | (up_z < 0.0)

@@ -51,6 +51,7 @@ def of_step(before: base.EnvState, ctrl: Float[Array, " nu"], after: base.EnvSta
 
 def relabel(experience: Experience, direction: Int[Array, ""]) -> Experience:
     """Returns a stored step as if `direction` had been asked for; physics doesn't depend on it."""
+    # After a switch the robot follows another subgoal, whatever the one before was.
     next_direction = jnp.where(
         experience.is_switch, experience.next_obs.direction, direction
     ).astype(jnp.int32)
@@ -69,6 +70,7 @@ def restart(
     """
     k, zero = robot.steps_per_subgoal, jnp.zeros(2)
     obs, next_obs = experience.obs, experience.next_obs
+    # As the first of the subgoal's k steps, so it can't be the one after which subgoals change.
     return experience.replace(
         is_switch=jnp.zeros((), bool),
         obs=obs.replace(direction=direction, displacement_xy=zero, time_left=jnp.float32(1.0)),
@@ -92,11 +94,10 @@ def transition(
     return base.Transition(
         obs=low_obs.features(obs, robot, input_options),
         action=low_obs.action_from_ctrl(experience.ctrl, obs, robot, input_options),
+        # Computed anew: the environment paid for the direction that it had asked for.
         reward=low_reward.step_reward(
-            obs.displacement_xy,
+            obs,
             experience.step_xy,
-            obs.time_left,
-            obs.direction,
             experience.terminated,
             reward_options,
             robot.steps_per_subgoal,

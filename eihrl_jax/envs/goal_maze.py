@@ -72,6 +72,7 @@ class GoalMaze:
         self.robot = engine.robot
         self._engine = engine
         self._reward: base.Reward = reward
+        # The task counts each of our steps as a decision.
         limit = mazes.num_decisions * self.robot.steps_per_subgoal
         self.table = task.prepare(mazes.replace(num_decisions=limit))
 
@@ -85,6 +86,7 @@ class GoalMaze:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, pose_key = jax.random.split(key, 3)
         nav, xy = task.start(self.table, start_key, maze)
+
         no = jnp.zeros((), bool)
         inner = GoalMazeState(
             nav=nav,
@@ -118,6 +120,7 @@ class GoalMaze:
         """Observes and tells what `reset` and `step` led to."""
         steps = inner.nav.decisions.astype(jnp.float32)
         xy, success = inner.physics.qpos[:2], task.success(self.table, inner.nav)
+        # Once all goals are visited the robot's own place is shown as goal, as the reward has it.
         obs = base.GoalObs(
             xy=xy,
             proprioception=inner.physics.proprioception,

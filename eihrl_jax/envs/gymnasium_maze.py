@@ -26,7 +26,7 @@ Info: the metrics of `goal_maze`, so far in the episode.
 
 import functools
 from collections.abc import Callable
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, TypeAlias, cast
 
 import gymnasium
 import jax
@@ -42,7 +42,8 @@ from eihrl_jax.physics import engines
 ID = "eihrl_jax/Maze-v0"
 """Name under which Gymnasium knows both environments, once they are registered."""
 
-Info = dict[str, Any]
+Info: TypeAlias = dict[str, Any]
+"""What is told beside the observation; Gymnasium lets it be anything."""
 
 
 def register() -> None:
@@ -56,6 +57,7 @@ def register() -> None:
 class MazeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One robot in one maze; see the module."""
 
+    # `Any` here and in the signatures below is Gymnasium's own.
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
 
     def __init__(
@@ -79,21 +81,24 @@ class MazeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises:
           base.UserError: one of them is unknown or not as it should be.
         """
-        env, num_actions = _make(maze, robot, reward, engine, num_decisions)
-        self.observation_space, self.action_space = _spaces(env, num_actions)
-        self._walk = _Walk(env.reset, env.step, functools.partial(features, side_xy=env.side_xy))
+        env, self.observation_space, self.action_space = _make(
+            maze, robot, reward, engine, num_decisions
+        )
+        self._episodes = _Episodes(
+            env.reset, env.step, functools.partial(features, side_xy=env.side_xy)
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
         """Draws a new episode; there are no options."""
         super().reset(seed=seed, options=options)
-        return self._walk.begin(self.np_random)
+        return self._episodes.begin(self.np_random)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
         """Advances one control step."""
-        state = self._walk.advance(action)
-        obs = self._walk.see(state.obs)
+        state = self._episodes.advance(action)
+        obs = self._episodes.see(state.obs)
         return obs, float(state.reward), bool(state.terminated), bool(state.truncated), _info(state)
 
 
@@ -133,15 +138,17 @@ class MazeVectorEnv(vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         if num_envs < 1:
             raise base.UserError(f"num_envs = {num_envs} is below 1")
-        env, num_actions = _make(maze, robot, reward, engine, num_decisions)
         self.num_envs = num_envs
-        self.single_observation_space, self.single_action_space = _spaces(env, num_actions)
+        env, self.single_observation_space, self.single_action_space = _make(
+            maze, robot, reward, engine, num_decisions
+        )
         self.observation_space = vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = vector.utils.batch_space(self.single_action_space, num_envs)
-        walked = wrappers.AutoReset(env)
-        self._walk = _Walk(
-            lambda key: jax.vmap(walked.reset)(jax.random.split(key, num_envs)),
-            jax.vmap(walked.step),
+
+        resetting = wrappers.AutoReset(env)
+        self._episodes = _Episodes(
+            lambda key: jax.vmap(resetting.reset)(jax.random.split(key, num_envs)),
+            jax.vmap(resetting.step),
             jax.vmap(functools.partial(features, side_xy=env.side_xy)),
         )
 
@@ -150,45 +157,47 @@ class MazeVectorEnv(vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, Info]:
         """Draws new episodes in all rows; there are no options."""
         super().reset(seed=seed, options=options)
-        return self._walk.begin(self.np_random)
+        return self._episodes.begin(self.np_random)
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
         """Advances every robot one control step, and into the next episode where one has ended."""
-        state = self._walk.advance(actions)
+        state = self._episodes.advance(actions)
         terminated, truncated = np.asarray(state.terminated), np.asarray(state.truncated)
-        is_done, info = terminated | truncated, _info(state)
-        if is_done.any():
+        is_over, info = terminated | truncated, _info(state)
+        if is_over.any():
+            # Gymnasium's names; those with an underscore say which rows are meant.
             info = {
                 **info,
-                "final_obs": self._walk.see(state.final_obs),
-                "_final_obs": is_done,
+                "final_obs": self._episodes.see(state.final_obs),
+                "_final_obs": is_over,
                 "final_info": info,
-                "_final_info": is_done,
+                "_final_info": is_over,
             }
-        obs = self._walk.see(state.obs)
+        obs = self._episodes.see(state.obs)
         return obs, np.asarray(state.reward), terminated, truncated, info
 
 
-class _Walk:
-    """Where the episodes of one robot or of many stand, and what moves them, compiled."""
+class _Episodes:
+    """The running episode of one robot, or those of many, and the compiled functions of it."""
 
     def __init__(
         self,
-        reset: Callable[[Array], base.EnvState],
-        step: Callable[[base.EnvState, Array], base.EnvState],
+        reset: Callable[[Array], goal_maze.EnvState],
+        step: Callable[[goal_maze.EnvState, Array], goal_maze.EnvState],
         see: Callable[[base.GoalObs], Array],
     ):
         self._reset, self._step, self._see = jax.jit(reset), jax.jit(step), jax.jit(see)
-        self._state: base.EnvState | None = None
+        self._state: goal_maze.EnvState | None = None
 
     def begin(self, generator: np.random.Generator) -> tuple[np.ndarray, Info]:
         """Draws new episodes; returns what is seen, and the info."""
+        # Gymnasium's generator is seeded only where a seed is given, so episodes go on differing.
         self._state = state = self._reset(jax.random.key(int(generator.integers(2**32))))
         return self.see(state.obs), _info(state)
 
-    def advance(self, action: np.ndarray) -> base.EnvState:
+    def advance(self, action: np.ndarray) -> goal_maze.EnvState:
         """Advances one control step."""
         if self._state is None:
             raise base.UserError("step was called before reset")
@@ -207,6 +216,7 @@ def features(obs: base.GoalObs, side_xy: tuple[int, int]) -> Float[Array, " F"]:
       obs: of a `goal_maze.GoalMaze`.
       side_xy: its sides in units, its upper left corner at the origin.
     """
+    # About the centre, so that mazes of any size are inputs around zero.
     centre_xy = jnp.array([side_xy[0] / 2.0, -side_xy[1] / 2.0], jnp.float32)
     parts = obs.xy - centre_xy, obs.proprioception, obs.goal_xy - centre_xy, obs.time[None]
     return jnp.concatenate(parts)
@@ -214,28 +224,26 @@ def features(obs: base.GoalObs, side_xy: tuple[int, int]) -> Float[Array, " F"]:
 
 def _make(
     maze: str, robot: str, reward: str, engine: str, num_decisions: int | None
-) -> tuple[goal_maze.GoalMaze, int]:
-    """Builds what Gymnasium is shown; returns the number of controls too."""
+) -> tuple[goal_maze.GoalMaze, spaces.Box, spaces.Box]:
+    """Builds the maze; also returns the spaces of what one robot observes and does."""
     if reward not in base.REWARDS:
         raise base.UserError(
             f"reward {reward!r} is unknown; choose one of {', '.join(base.REWARDS)}"
         )
-    moved = engines.make(robots.load(robot), engine)
+    physics = engines.make(robots.load(robot), engine)
     loaded = mazes.load(maze, num_decisions=num_decisions)
-    env = goal_maze.GoalMaze(moved, loaded, reward=cast(base.Reward, reward))
-    return env, moved.model.nu
+    env = goal_maze.GoalMaze(physics, loaded, reward=cast(base.Reward, reward))
 
-
-def _spaces(env: goal_maze.GoalMaze, num_actions: int) -> tuple[spaces.Box, spaces.Box]:
-    """Returns the spaces of observations and of actions, of one robot."""
+    # Shapes alone: nothing is compiled before the first reset.
     obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
     num_features = jax.eval_shape(lambda obs: features(obs, env.side_xy), obs).shape
     return (
+        env,
         spaces.Box(-np.inf, np.inf, num_features, np.float32),
-        spaces.Box(-1.0, 1.0, (num_actions,), np.float32),
+        spaces.Box(-1.0, 1.0, (physics.model.nu,), np.float32),
     )
 
 
-def _info(state: base.EnvState) -> Info:
+def _info(state: goal_maze.EnvState) -> Info:
     """Returns the metrics, of one robot or of many."""
     return {name: np.asarray(value) for name, value in state.metrics.items()}

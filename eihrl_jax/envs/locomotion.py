@@ -85,8 +85,10 @@ class Locomotion:
     def reset(self, key: Key[Array, ""]) -> EnvState:
         """Draws a room, a start, a posture and a first subgoal."""
         key, room_key, start_key, pose_key, direction_key = jax.random.split(key, 5)
+
         room = jax.random.randint(room_key, (), 0, self._rooms.wall.shape[0])
         start_xy = maze_lib.draw_start(self.room(room), start_key)
+        # The first subgoal begins here, with all of its steps left.
         inner = LocomotionState(
             physics=body_lib.draw_pose(self._engine, start_xy, pose_key),
             room=room,
@@ -107,6 +109,8 @@ class Locomotion:
         inner = state.inner
         before, k = inner.physics, self.robot.steps_per_subgoal
         key, direction_key = jax.random.split(state.key)
+
+        # Always running: episodes that end begin anew at once, see `wrappers.AutoReset`.
         is_running = jnp.ones((), bool)
         after, is_broken = body_lib.move(
             self._engine, before, action, self.room(inner.room), is_running
@@ -115,18 +119,11 @@ class Locomotion:
         was_down, is_down = (body_lib.is_fallen(x.qpos, self.robot) for x in (before, after))
         terminated = (is_down & self._ends_at_fall) | is_broken
         step_xy = after.qpos[:2] - before.qpos[:2]
-        reward = low_reward.step_reward(
-            before.qpos[:2] - inner.subgoal_xy,
-            step_xy,
-            state.obs.time_left,
-            inner.direction,
-            terminated,
-            self._reward_options,
-            k,
-        )
+        reward = low_reward.step_reward(state.obs, step_xy, terminated, self._reward_options, k)
         step = inner.step + 1
         outcome = base.Outcome.of_step(reward, terminated, step >= self._episode_steps)
 
+        # A subgoal that ends together with its episode for good isn't completed.
         is_switch = step % k == 0
         has_completed = (is_switch & ~terminated).astype(jnp.float32)
         along, lateral = rotations.to_direction_frame(
@@ -138,10 +135,12 @@ class Locomotion:
             "switched": has_completed,
             "along": has_completed * along,
             "lateral": has_completed * lateral,
+            # Told once, in the step of the fall, where a robot may lie for longer.
             "fell": is_down & (self._ends_at_fall | ~was_down),
             "broke_down": is_broken,
         }
 
+        # Drawn in every step and mostly dropped: the random stream doesn't depend on the subgoals.
         drawn = jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS)
         inner = inner.replace(
             physics=after,

@@ -66,15 +66,19 @@ def features(
     body, displacement_xy = _split(obs.proprioception, robot), obs.displacement_xy
     code: list[Array] = []
     if options.frame == "world":
+        # Paper, Table 4: the direction as two-hot code.
         code = [jnp.repeat(jax.nn.one_hot(obs.direction, base.NUM_DIRECTIONS), 2)]
     else:
         body = _turn(body, obs.direction, robot)
         displacement_xy = rotations.to_direction_frame(displacement_xy, obs.direction)
+
     symmetry = _symmetry(robot, options)
     if symmetry is not None:
         variant = _canonical_variant(body, displacement_xy, robot, symmetry)
         body = _rename(body, variant, robot, symmetry)
         displacement_xy = _mirror_xy(displacement_xy, variant, symmetry)
+
+    # A quaternion and its negative are the same orientation; the network gets one of them.
     if robot.root == "free":
         body = body._replace(orientation=rotations.with_positive_w(body.orientation))
     body = body._replace(
@@ -96,6 +100,7 @@ def ctrl_from_action(
     if symmetry is not None:
         order, signs = symmetry_lib.inverse(*symmetry.control_tables())
         action = _reorder(action, _variant(obs, robot, symmetry), order, signs)
+    # Only a sliding robot's first two controls are forces along the world's axes.
     if robot.root != "slide" or options.frame == "world":
         return action
     return jnp.concatenate([rotations.to_world_frame(action[:2], obs.direction), action[2:]])
@@ -140,7 +145,7 @@ _ODD = {"free": ([0, 1, 0, 1], [1, 0, 1]), "planar": ([0, 1], [1]), "slide": ([]
 def _split(proprioception: Float[Array, " P"], robot: robot_lib.Robot) -> _Body:
     """Takes proprioception apart; a yaw becomes a vector, so that full turns don't add up."""
     height, orientation, xy, z, spin = _SIZES[robot.root]
-    num_joints = (proprioception.shape[0] - sum(_SIZES[robot.root])) // 2
+    num_joints = (proprioception.shape[0] - sum(_SIZES[robot.root])) // 2  # in qpos and in qvel
     sizes = (height, orientation, num_joints, xy, z, spin)
     body = _Body(*jnp.split(proprioception, list(itertools.accumulate(sizes))))
     if robot.root != "planar":
@@ -186,6 +191,8 @@ def _canonical_variant(
     heading_xy = body.orientation if robot.root == "planar" else displacement_xy
     if robot.root == "free":
         heading_xy = rotations.heading(body.orientation)
+
+    # Turns by the symmetry's angle bring the heading next to x+, a mirror then to its left.
     pitch = 2.0 * jnp.pi / symmetry.num_turns
     angle = jnp.arctan2(heading_xy[1], heading_xy[0])
     num_turns = -jnp.round(angle / pitch)
@@ -206,6 +213,8 @@ def _rename(
         spin = jnp.concatenate([rotations.turn(spin[:2], -angle), spin[2:]])
     elif robot.root == "planar":
         orientation = rotations.turn(orientation, angle)
+
+    # In a mirror at y = 0 some components change their sign, and left and right their names.
     is_odd, is_spin_odd = (jnp.array(each, bool) for each in _ODD[robot.root])
     is_mirrored = variant >= symmetry.num_turns
     order, signs = symmetry.joint_tables()

@@ -1,18 +1,17 @@
 """What the low level is paid for: every step towards the subgoal (paper, Sec. 2, eq. 1)."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from eihrl_jax import base
 from eihrl_jax.config import low as low_config
+from eihrl_jax.envs import low_obs
 from eihrl_jax.ops import rotations
 
 
 def step_reward(
-    displacement_xy: Float[Array, "2"],
+    obs: low_obs.LowObs,
     step_xy: Float[Array, "2"],
-    time_left: Float[Array, ""],
-    direction: Int[Array, ""],
     terminated: Bool[Array, ""],
     options: low_config.LowReward,
     steps_per_subgoal: int,
@@ -23,10 +22,8 @@ def step_reward(
     form that has no singularity at d = 0.
 
     Args:
-      displacement_xy: float32 [2], movement since the subgoal was given, before the step, units.
+      obs: before the step, with the subgoal that was to be followed.
       step_xy: float32 [2], the step's movement, units.
-      time_left: float32, fraction of the subgoal's steps that was left before the step.
-      direction: int32, the subgoal that was to be followed.
       terminated: the step ended in a fall or a breakdown.
       options: scale, prices of drift and falls, and whether a full cell is enough.
       steps_per_subgoal: control steps per subgoal.
@@ -36,12 +33,14 @@ def step_reward(
     """
 
     def potential(xy: Float[Array, "2"], left: Float[Array, ""]) -> Float[Array, ""]:
-        along, lateral = rotations.to_direction_frame(xy, direction)
+        along, lateral = rotations.to_direction_frame(xy, obs.direction)
+        # Progress counts in full up to here.
         enough = base.CELL * (1.0 - left) if options.is_paced else base.CELL
         beyond = jnp.maximum(along - enough, 0.0)
         along += (options.beyond_cell - 1.0) * beyond
         return along - options.lateral_weight * jnp.abs(lateral)
 
-    after = potential(displacement_xy + step_xy, time_left - 1.0 / steps_per_subgoal)
-    gain = after - potential(displacement_xy, time_left)
+    # A difference of potentials: going back takes away what going there has paid.
+    after = potential(obs.displacement_xy + step_xy, obs.time_left - 1.0 / steps_per_subgoal)
+    gain = after - potential(obs.displacement_xy, obs.time_left)
     return options.scale * gain - options.fall_cost * terminated.astype(jnp.float32)

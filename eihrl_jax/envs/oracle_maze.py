@@ -16,7 +16,7 @@ Reset: maze, door, start and posture are drawn anew.
 import dataclasses
 import functools
 import math
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -24,11 +24,11 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import checks, limits
 from eihrl_jax.envs import raster, task
 from eihrl_jax.mazes import maze as maze_lib
 
-_ABOVE_MINUS_ONE = -1.0 + 2.0**-24
+_ABOVE_MINUS_ONE = -1.0 + 2.0**-24  # where the inverse error function is still finite
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,17 +45,14 @@ class Movement:
       base.UserError: out of the limits of these numbers.
     """
 
-    step: float = base.CELL
-    sigma: float = base.SIGMA
-    num_substeps: int = 6
-    body_radius: float = 0.7
+    step: Annotated[float, limits.Range(0.0, 4 * base.CELL)] = base.CELL
+    sigma: Annotated[float, limits.Range(0.0, base.CELL)] = base.SIGMA
+    num_substeps: Annotated[int, limits.Range(1, 100)] = 6
+    body_radius: Annotated[float, limits.Range(0.0, base.CELL / 2)] = 0.7
 
     def __post_init__(self) -> None:
-        """Checks the limits."""
-        checks.in_range("movement step", self.step, 0.0, 4 * base.CELL)
-        checks.in_range("movement sigma", self.sigma, 0.0, base.CELL)
-        checks.in_range("movement num_substeps", self.num_substeps, 1, 100)
-        checks.in_range("movement body_radius", self.body_radius, 0.0, base.CELL / 2)
+        """Checks each number, and that no part of a move can jump over a wall."""
+        limits.check(self, "movement ")
         # A normal float32 draw stays below six standard deviations.
         longest = (self.step + 6 * self.sigma) / self.num_substeps
         if longest >= base.CELL:
@@ -115,6 +112,7 @@ class OracleMaze:
                 f"silhouettes of shape {silhouettes.shape} do not fit a view of "
                 f"{view.pixels} x {view.pixels} pixels"
             )
+
         self.table = task.prepare(mazes, view.margin)
         room = base.CELL / 2 - float(self.table.mazes.start_jitter.max())
         if movement.body_radius > room:
@@ -122,6 +120,7 @@ class OracleMaze:
                 f"movement body_radius {movement.body_radius} is above {room:.3f}, the room "
                 "between a start and the walls beside its cell"
             )
+
         self.view = view
         self.movement = movement
         self.reward: base.Reward = reward
@@ -132,6 +131,7 @@ class OracleMaze:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, posture_key = jax.random.split(key, 3)
         nav, xy = task.start(self.table, start_key, maze)
+
         inner = OracleMazeState(
             nav=nav,
             xy=xy,
@@ -144,8 +144,10 @@ class OracleMaze:
         """Moves the robot in direction `action`."""
         inner = state.inner
         next_key, draw_key = jax.random.split(state.key)
+
         # One draw for offset and posture, because on CPU random bits are a large part of the cost.
         draws = jax.random.uniform(draw_key, (3,), minval=_ABOVE_MINUS_ONE, maxval=1.0)
+        # Paper, Sec. 3.2: epsilon is normal; sqrt(2) erf^-1 makes it of a uniform draw.
         noise = self.movement.sigma * math.sqrt(2.0) * jax.lax.erf_inv(draws[:2])
         displacement = self.movement.step * jnp.array(base.DIRECTIONS_XY)[action] + noise
         path_xy = self.move(inner.nav, inner.xy, displacement)
@@ -186,6 +188,8 @@ class OracleMaze:
         corners = jnp.array([-radius, radius])
 
         def advance(xy: Float[Array, "2"], _: None) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+            # A body narrower than a cell is in a wall if an end of its leading edge is. The y axis
+            # looks from where the x axis has moved to, so that no corner is cut.
             x, y = xy
             edge = jnp.stack([jnp.broadcast_to(x + reach[0], 2), y + corners], -1)
             x = jnp.where(self._is_blocked(nav, edge), x, x + part[0])
@@ -210,7 +214,9 @@ class OracleMaze:
         self, inner: OracleMazeState, outcome: base.Outcome, key: Key[Array, ""]
     ) -> EnvState:
         """Observes and tells what `reset` and `step` led to."""
+        # Look first, so that a map shows what is in sight now.
         inner = inner.replace(nav=task.look(self.table, inner.nav, inner.xy, self.view))
+
         metrics = {
             "success": task.success(self.table, inner.nav),
             "decisions": inner.nav.decisions,

@@ -116,6 +116,7 @@ class PhysicsMaze:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         next_key, start_key, pose_key = jax.random.split(key, 3)
         nav, xy = task.start(self.table, start_key, maze)
+
         no = jnp.zeros((), bool)
         body = Body(
             physics=body_lib.draw_pose(self._engine, xy, pose_key),
@@ -132,12 +133,14 @@ class PhysicsMaze:
     def begin(self, state: EnvState, direction: Int[Array, ""]) -> tuple[Subgoal, Body]:
         """Begins a decision; in an episode that is over the robot rests through it."""
         inner = state.inner
+        # The door is drawn once per decision instead of in each of its k control steps.
         subgoal = Subgoal(
             maze=task.drawn_maze(self.table, inner.nav),
             nav=inner.nav,
             start_xy=inner.body.physics.qpos[:2],
             direction=direction,
         )
+
         steps_left = jnp.int32(self.robot.steps_per_subgoal)
         return subgoal, inner.body.replace(is_running=~state.is_over, steps_left=steps_left)
 
@@ -156,6 +159,7 @@ class PhysicsMaze:
         physics, is_broken = body_lib.move(
             self._engine, body.physics, ctrl, subgoal.maze, body.is_running
         )
+
         # Only to know which goals have been visited: `end` counts the decision and pays for it.
         nav = subgoal.nav.replace(visited=body.visited)
         nav, outcome = task.advance(self.table, nav, physics.qpos[None, :2], self._reward)
@@ -171,7 +175,7 @@ class PhysicsMaze:
         )
 
     def end(self, state: EnvState, body: Body, path_xy: Float[Array, "T 2"]) -> EnvState:
-        """Ends a decision: pays the goals entered, counts it, and looks around.
+        """Ends a decision: pays for it, counts it, and looks around.
 
         Args:
           state: before the decision.
@@ -189,7 +193,9 @@ class PhysicsMaze:
     ) -> EnvState:
         """Observes and tells what `reset` and `end` led to."""
         qpos = inner.body.physics.qpos
+        # Look first, so that a map shows what is in sight now.
         inner = inner.replace(nav=task.look(self.table, inner.nav, qpos[:2], self.view))
+
         silhouette = raster.footprint(self._capsules(qpos), qpos[:2], self.view)
         packed = raster.pack(silhouette, self.view)
         metrics = {

@@ -53,20 +53,24 @@ def synthetic(robot: robot_lib.Robot, num: int = 512, seed: int = 0) -> PostureB
     """
     model = scene.build(robot)
     rng = np.random.default_rng(seed)
-    stand = model.key_qpos[0] if model.nkey else model.qpos0
+    stand = model.key_qpos[0]
     qpos = np.repeat(stand[None], num, 0)
+
     for joint in range(model.njnt):
         address = model.jnt_qposadr[joint]
         kind = mujoco.mjtJoint(model.jnt_type[joint])
         if kind == mujoco.mjtJoint.mjJNT_FREE:
             qpos[:, address + 3 : address + 7] = _random_headings(rng, num)
         elif kind == mujoco.mjtJoint.mjJNT_HINGE:
+            # Any angle for a joint without limits, the root's yaw above all.
             is_limited = model.jnt_limited[joint]
             low, high = model.jnt_range[joint] if is_limited else (-np.pi, np.pi)
             spread = _SPREAD if is_limited else 1.0
             drawn = rng.uniform(low, high, num)
             qpos[:, address] += spread * (drawn - stand[address])
     qpos[:, :2] = 0.0
+
+    # Down to the floor, or up from below it.
     if robot.root == "free":
         to_capsules = jax.jit(jax.vmap(kinematics.capsules(model)))
         start, end, radius = to_capsules(jnp.asarray(qpos, jnp.float32))
@@ -77,6 +81,7 @@ def synthetic(robot: robot_lib.Robot, num: int = 512, seed: int = 0) -> PostureB
 
 def save(bank: PostureBank, path: pathlib.Path, robot: robot_lib.Robot) -> None:
     """Writes a bank as .npz; whatever was at `path` is replaced at once or not at all."""
+    # Renaming a finished file is atomic.
     part = path.with_name(path.name + ".part")
     with part.open("wb") as file:
         np.savez_compressed(file, robot=np.array(robot.name), qpos=np.asarray(bank.qpos))
@@ -94,6 +99,7 @@ def load(path: pathlib.Path, robot: robot_lib.Robot) -> PostureBank:
             name, qpos = str(arrays["robot"]), arrays["qpos"]
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise base.UserError(f"posture bank {path} can't be read: {error}") from None
+
     if name != robot.name:
         raise base.UserError(f"posture bank {path} is of robot {name!r}, expected {robot.name!r}")
     num_positions = scene.build(robot).nq
@@ -112,6 +118,7 @@ def for_robot(robot: robot_lib.Robot) -> PostureBank:
     Raises:
       base.UserError: the shipped bank is damaged.
     """
+    # Read here, since environments know nothing of `runs.policies`, which keeps the rest.
     shipped = pathlib.Path(__file__).parents[1] / "pretrained" / robot.name / "postures.npz"
     return load(shipped, robot) if shipped.exists() else synthetic(robot)
 

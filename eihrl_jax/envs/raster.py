@@ -14,28 +14,19 @@ mask`. On CPU this is several times as fast as looking up the cell of every pixe
 
 import dataclasses
 import math
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt8, UInt32
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import limits
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.physics import kinematics
 
-MIN_EXTENT, MAX_EXTENT = base.CELL, 15 * base.CELL
-"""Limits of a view's side, in units: the cells of one row have to fit into half a word."""
-
-MIN_PIXELS, MAX_PIXELS = 3, 128
-"""Limits of a view's side, in pixels."""
-
-MAX_MAP_RADIUS = 32
-"""Greatest number of cells that a map shows to every side."""
-
-_WORD = 32
-_GOAL_SHIFT = 16
+_WORD = 32  # bits
+_GOAL_SHIFT = 16  # a row's walls are in the lower half of its word, its goals in the upper half
 
 Picture: TypeAlias = Bool[Array, "n n C"]
 """A patch of n pixels or a map of n cells a side, see `View.obs_shape`."""
@@ -55,15 +46,14 @@ class View:
       base.UserError: out of these limits.
     """
 
-    extent: float = 9.0
-    pixels: int = 15
-    map_radius: int = 0
+    # The cells of one row have to fit into half a word.
+    extent: Annotated[float, limits.Range(base.CELL, 15 * base.CELL)] = 9.0
+    pixels: Annotated[int, limits.Range(3, 128)] = 15
+    map_radius: Annotated[int, limits.Range(0, 32)] = 0
 
     def __post_init__(self) -> None:
         """Checks the limits."""
-        checks.in_range("view map_radius", self.map_radius, 0, MAX_MAP_RADIUS)
-        checks.in_range("view extent", self.extent, MIN_EXTENT, MAX_EXTENT)
-        checks.in_range("view pixels", self.pixels, MIN_PIXELS, MAX_PIXELS)
+        limits.check(self, "view ")
 
     @property
     def obs_shape(self) -> tuple[int, int, int]:
@@ -122,6 +112,8 @@ def footprint(
     along = (from_start * axis).sum(-1) / jnp.maximum((axis**2).sum(-1), 1e-12)
     nearest = jnp.clip(along, 0.0, 1.0)[..., None] * axis
     distance = jnp.sqrt(((from_start - nearest) ** 2).sum(-1))
+
+    # Half a pixel more than the capsule itself, or thin legs would fall between pixel centres.
     return (distance <= radius[None, None] + view.pitch / 2).any(-1)
 
 
@@ -160,37 +152,23 @@ def draw(
     """
     walls = _pack_bits(codes == maze_lib.WALL)
     goals = _pack_bits(_is_unvisited(codes, visited))
+
+    # One word per pixel row and one mask per pixel column. Gathers also keep XLA from computing
+    # words and masks anew for every pixel.
     i, j = _pixel_cells(xy, view)
-    # Gathers also keep XLA from computing words and masks anew for every pixel.
     cells = (walls | goals << _GOAL_SHIFT).at[i - i[:1]].get(mode="promise_in_bounds")
     wall_mask = jnp.asarray(_single_bits(_WORD)).at[j - j[:1]].get(mode="promise_in_bounds")
+
+    # The silhouette is packed by pixels instead of cells; its own words repeat along a row.
     robot_mask = np.tile(_single_bits(_WORD), view.num_words)[: view.pixels]
     robot = jnp.repeat(silhouette, _WORD, axis=1)[:, : view.pixels]
+
+    # Each channel masks only what it shows, so that one comparison makes all three.
     nothing = jnp.zeros_like(wall_mask)
     cell_masks = jnp.stack([wall_mask, wall_mask << _GOAL_SHIFT, nothing], -1)
     robot_masks = jnp.stack([nothing, nothing, jnp.asarray(robot_mask)], -1)
     pixels = cells[:, None, None] & cell_masks[None]
     return (pixels | robot[:, :, None] & robot_masks[None]) > 0
-
-
-def patch(
-    maze: maze_lib.Maze,
-    xy: Float[Array, "2"],
-    visited: Bool[Array, "9"],
-    silhouette: Bool[Array, "P P"],
-    view: View,
-) -> Bool[Array, "P P 3"]:
-    """Draws what the high level sees at `xy`: channels wall, unvisited goal, robot.
-
-    Args:
-      maze: the maze, its door drawn; all around it is wall.
-      xy: the torso's position, units.
-      visited: goals that have been paid; they are no longer drawn.
-      silhouette: the robot, see `footprint`.
-      view: extent and resolution.
-    """
-    codes = maze_lib.code_at(maze_lib.codes(maze), *window(xy, view))
-    return draw(codes, xy, visited, pack(silhouette, view), view)
 
 
 def in_sight(
@@ -204,6 +182,7 @@ def in_sight(
       xy: the torso's position, units.
       view: whose `extent` is looked at.
     """
+    # In the order row, column; rows grow downwards, y upwards.
     centre, reach = jnp.stack([-xy[1], xy[0]]), view.extent / 2
     first = jnp.floor((centre - reach) / base.CELL).astype(jnp.int32)
     end = jnp.ceil((centre + reach) / base.CELL).astype(jnp.int32)
@@ -239,6 +218,7 @@ def _is_unvisited(codes: UInt8[Array, "*k"], visited: Bool[Array, "9"]) -> Bool[
 
 def _pixel_cells(xy: Float[Array, "2"], view: View) -> tuple[Int[Array, "P"], Int[Array, "P"]]:
     """Returns the row of each pixel row and the column of each pixel column."""
+    # Ascending offsets serve as distances to the south for rows and to the east for columns.
     offsets = jnp.asarray(view.offsets())
     i = jnp.floor((offsets - xy[1]) / base.CELL).astype(jnp.int32)
     j = jnp.floor((offsets + xy[0]) / base.CELL).astype(jnp.int32)

@@ -32,13 +32,16 @@ def random_rooms(
     """
     wall = np.random.default_rng(seed).random((num_rooms, size, size)) < wall_density
     wall[::2] = False
+
+    # Closed all around, or the robot would leave the grid.
     wall[:, [0, -1], :] = True
     wall[:, :, [0, -1]] = True
     return _stack(wall, ~wall)
 
 
 def _stack(wall: np.ndarray, start: np.ndarray) -> maze_lib.Maze:
-    zero = jnp.zeros(wall.shape[0], jnp.int32)
+    """Returns rooms [M, R, C] as mazes without goals, doors or a time limit."""
+    zero = jnp.zeros(wall.shape[0], jnp.int32)  # episodes here have limits of their own
     return maze_lib.Maze(
         wall=jnp.asarray(wall),
         goal=jnp.zeros(wall.shape, jnp.int32),

@@ -68,14 +68,16 @@ def load(folder: pathlib.Path) -> Statistics:
       base.UserError: there are none, or they are damaged.
     """
     path = folder / FILE
+
+    # Field by field: a file with one too many or too few is damaged.
     try:
-        found = Statistics(**json.loads(path.read_text())[OPEN])
-        is_known = math.isfinite(found.along_mean) and math.isfinite(found.sigma)
+        statistics = Statistics(**json.loads(path.read_text())[OPEN])
+        is_known = math.isfinite(statistics.along_mean) and math.isfinite(statistics.sigma)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise base.UserError(f"measurement {path} can't be read: {error}") from None
     if not is_known:
         raise base.UserError(f"measurement {path} holds no displacement: no subgoal was completed")
-    return found
+    return statistics
 
 
 class Gait(NamedTuple):
@@ -112,11 +114,11 @@ def gait(robot: robot_lib.Robot, measured: pathlib.Path | None, step: float, sig
     return Gait(statistics.along_mean, statistics.sigma, bank)
 
 
-def summarise(walked: dict[str, Float[Array, "T N"]]) -> dict[str, Float[Array, ""]]:
-    """Summarises the metrics that `envs.locomotion.Locomotion` gave over T steps of N robots.
+def summarise(metrics: dict[str, Float[Array, "T N"]]) -> dict[str, Float[Array, ""]]:
+    """Summarises the metrics of `envs.locomotion.Locomotion` over T steps of N robots.
 
     Args:
-      walked: `switched`, `along`, `lateral`, `fell`, `broke_down`, each [T, N].
+      metrics: `switched`, `along`, `lateral`, `fell`, `broke_down`, each [T, N].
 
     Returns:
       `along_mean`, `along_std`, `lateral_mean` (bias), `lateral_std` of the displacement per
@@ -124,12 +126,13 @@ def summarise(walked: dict[str, Float[Array, "T N"]]) -> dict[str, Float[Array, 
       subgoals, where one that ended in a fall counts as begun; `num_subgoals`. NaN where no subgoal
       was completed.
     """
-    switched = walked["switched"]
-    completed = switched.sum()
-    along_mean, along_std = _moments(walked["along"], switched)
-    lateral_mean, lateral_std = _moments(walked["lateral"], switched)
-    falls, breakdowns = walked["fell"].sum(), walked["broke_down"].sum()
-    begun = jnp.maximum(completed + falls + breakdowns, 1.0)
+    switched = metrics["switched"]
+    along_mean, along_std = _moments(metrics["along"], switched)
+    lateral_mean, lateral_std = _moments(metrics["lateral"], switched)
+
+    # A fall or a breakdown ends the episode, and with it a subgoal that is never completed.
+    falls, breakdowns = metrics["fell"].sum(), metrics["broke_down"].sum()
+    begun = jnp.maximum(switched.sum() + falls + breakdowns, 1.0)
     return {
         "along_mean": along_mean,
         "along_std": along_std,

@@ -82,6 +82,8 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
     """
     if mazes.wall.ndim == 2:
         mazes = jax.tree.map(lambda leaf: leaf[None], mazes)
+
+    # As lists of cells: drawing one of a list needs no search through the grid.
     starts = [paths.cells(mask) for mask in np.asarray(mazes.start)]
     doors = [paths.cells(mask) or [(NO_DOOR, NO_DOOR)] for mask in np.asarray(mazes.door)]
     return MazeTable(
@@ -113,12 +115,15 @@ def start(
     Returns:
       The episode at its beginning, and the robot's position in units.
     """
+    # One draw for maze, door, start cell, and the offset in it on both axes: random bits are a
+    # large part of a reset's cost.
     draws = jax.random.uniform(key, (5,))
     if maze is None:
         maze = pick(draws[0], jnp.int32(table.num_mazes))
     door = pick(draws[1], _of(table.num_doors, maze))
     cell = pick(draws[2], _of(table.num_starts, maze))
     offset = (2.0 * draws[3:] - 1.0) * _of(table.mazes.start_jitter, maze)
+
     nav = Navigation(
         maze=maze,
         door_ij=_of(table.door_ij, maze)[door],
@@ -147,6 +152,7 @@ def advance(
     Returns:
       The episode after the decision, and what it led to.
     """
+    # Goals along the way count, not only the one where the decision ends.
     codes = code_at(table, nav, path_xy)
     numbers = jnp.arange(1, maze_lib.MAX_GOALS + 1, dtype=jnp.uint8)
     visited = nav.visited | (codes[:, None] == numbers[None]).any(0)
@@ -172,8 +178,11 @@ def current_goal_xy(table: MazeTable, nav: Navigation) -> Float[Array, "2"]:
 
     Once all have been visited, it is that of the last one.
     """
+    # `visited` has nine entries in every maze; those without a goal stay False.
     last = _of(table.mazes.num_goals, nav.maze) - 1
     current = jnp.where(nav.visited.all(), last, jnp.minimum(jnp.argmin(nav.visited), last))
+
+    # In a maze with door candidates goal 1 is the open door.
     is_door = (current == 0) & (nav.door_ij[0] != NO_DOOR)
     door_xy = maze_lib.cell_xy(nav.door_ij)
     return jnp.where(is_door, door_xy, _of(table.goal_xy, nav.maze)[current])
@@ -201,8 +210,8 @@ def look(table: MazeTable, nav: Navigation, xy: Float[Array, "2"], view: raster.
     """Adds to the map, where the view has one, what is in sight at `xy`."""
     if view.map_radius == 0:
         return nav
-    shape = table.codes.shape
-    here = raster.in_sight((shape[1], shape[2]), table.margin, xy, view)
+    _, rows, columns = table.codes.shape
+    here = raster.in_sight((rows, columns), table.margin, xy, view)
     return nav.replace(seen=here if nav.seen is None else nav.seen | here)
 
 
@@ -237,12 +246,15 @@ def _codes(
 ) -> UInt8[Array, "*k"]:
     """Returns the codes of cells, those outside the grid wall and the open door goal 1."""
     num_mazes, rows, columns = table.codes.shape
+
     # One flat index that can't be out of bounds: look-ups by several are much slower on CPU.
     padded_i, padded_j = i + table.margin, j + table.margin
     flat = jnp.clip(padded_i, 0, rows - 1) * columns + jnp.clip(padded_j, 0, columns - 1)
     if num_mazes > 1:
         flat += nav.maze * rows * columns
     codes = table.codes.reshape(-1).at[flat].get(mode="promise_in_bounds")
+
+    # The table holds every door candidate as wall; this episode's open one is goal 1.
     is_door = (i == nav.door_ij[0]) & (j == nav.door_ij[1])
     return jnp.where(is_door, jnp.uint8(1), codes)
 
@@ -253,6 +265,7 @@ def _around(
     """Returns the codes of the cells around the torso's, and which of them have been seen."""
     size, span = 2 * radius + 1, jnp.arange(-radius, radius + 1)
     i, j = maze_lib.cell_ij(xy)
+    # The margin is as wide as the map, so that the slice stays inside the padded grid.
     corner = i + table.margin - radius, j + table.margin - radius
     codes = jax.lax.dynamic_slice(table.codes, (nav.maze, *corner), (1, size, size))[0]
     is_door = (i + span == nav.door_ij[0])[:, None] & (j + span == nav.door_ij[1])[None]

@@ -59,5 +59,6 @@ class AutoReset(Generic[InnerT, ObsT]):
             (fresh.inner, fresh.obs, fresh.key),
             (stepped.inner, stepped.obs, stepped.key),
         )
+        # Drawn of the episode that goes on; the compiler then leaves out what was drawn above.
         obs = obs if self.observe is None else self.observe(inner)
         return stepped.replace(inner=inner, obs=obs, key=key)

@@ -69,13 +69,6 @@ def codes(maze: Maze) -> UInt8[Array, "*m R C"]:
     return jnp.where(maze.wall, WALL, maze.goal).astype(jnp.uint8)
 
 
-def code_at(
-    codes: UInt8[Array, "R C"], i: Int[Array, "*#k"], j: Int[Array, "*#k"]
-) -> UInt8[Array, "*k"]:
-    """Returns the codes of cells; those outside the grid are wall."""
-    return codes.at[i, j].get(mode="fill", fill_value=WALL, wrap_negative_indices=False)
-
-
 def draw_cell(mask: Bool[Array, "R C"], key: Key[Array, ""]) -> Int[Array, "2"]:
     """Draws row and column of one of the true cells of `mask`, all equally likely."""
     # The true cells are numbered in reading order; the first one past the drawn number is taken.

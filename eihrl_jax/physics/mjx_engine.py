@@ -55,7 +55,7 @@ class MjxEngine:
         is_running: Bool[Array, ""] | bool = True,
     ) -> engine.PhysicsState:
         """Advances one control step, see `engine.Engine.step`."""
-        mocap_z = self._data.mocap_pos[:, 2:]
+        mocap_z = self._data.mocap_pos[:, 2:]  # walls move in the plane only
         data = self._data.replace(
             qpos=state.qpos,
             qvel=state.qvel,
@@ -63,10 +63,12 @@ class MjxEngine:
             ctrl=ctrl.astype(jnp.float32),
             mocap_pos=jnp.concatenate([walls_xy.astype(jnp.float32), mocap_z], 1),
         )
+
         with _lenient_promotion(), _safe_cholesky():
             data = jax.lax.fori_loop(
                 0, self.robot.num_substeps, lambda _, d: self._physics_step(d), data
             )
+
         stepped = engine.PhysicsState(
             qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart
         )
@@ -95,12 +97,16 @@ def _align_with_capsules(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     is_capsule_on_floor = (kinds[:, 0] == int(mjx.GeomType.PLANE)) & (
         kinds[:, 1] == int(mjx.GeomType.CAPSULE)
     )
+
+    # The capsule's axis without its part along the normal is the first tangent.
     axis = data.geom_xmat[contact.geom[:, 1], :, 2]
     normal = contact.frame[:, 0]
     tangent = axis - (axis * normal).sum(1, keepdims=True) * normal
     length = jnp.linalg.norm(tangent, axis=1, keepdims=True)
     tangent = tangent / jnp.maximum(length, _SMALLEST_TANGENT)
     aligned = jnp.stack([normal, tangent, jnp.cross(normal, tangent)], 1)
+
+    # A capsule that stands upright has no direction on the floor.
     is_turned = is_capsule_on_floor & (length[:, 0] > _SMALLEST_TANGENT)
     frame = jnp.where(is_turned[:, None, None], aligned, contact.frame)
     return data.tree_replace({"_impl.contact.frame": frame})

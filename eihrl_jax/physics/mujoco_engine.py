@@ -1,7 +1,6 @@
 """MuJoCo's C engine, batched over a thread pool and called from inside compiled JAX programs."""
 
 import threading
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -54,34 +53,30 @@ class MujocoEngine:
     def _step_rows(
         self, state: engine.PhysicsState, ctrl: Array, walls_xy: Array, is_running: Array
     ) -> engine.PhysicsState:
-        """Steps every row of arrays with any leading axes, on the host."""
+        """Steps every row of arrays with any leading axes, on the host, one caller at a time."""
         with self._lock:
-            return self._step_locked(state, ctrl, walls_xy, is_running)
+            lead = state.qpos.shape[:-1]
+            rows = self._batch(int(np.prod(lead)))
 
-    def _step_locked(
-        self, state: engine.PhysicsState, ctrl: Array, walls_xy: Array, is_running: Array
-    ) -> engine.PhysicsState:
-        """Does the work of `_step_rows`, one caller at a time."""
-        lead = state.qpos.shape[:-1]
-        rows = self._batch(int(np.prod(lead)))
-        fields = ("qpos", "qvel", "qacc_warmstart")
-        for name in fields:
-            view = rows.bind(name)
-            view[...] = np.asarray(getattr(state, name)).reshape(view.shape)
-        # NumPy from here on: indexing a JAX array would compile anew for every number of rows.
-        ctrl_rows = np.asarray(ctrl).reshape(rows.nsim, -1)
-        running, is_number = np.asarray(is_running).reshape(-1), np.isfinite(ctrl_rows).all(1)
-        # MuJoCo would take controls that are no numbers for zeros, and warn on the terminal.
-        rows.bind("qpos")[running & ~is_number] = np.nan
-        moving = np.flatnonzero(running & is_number)
-        rows.bind("ctrl")[moving] = ctrl_rows[moving]
-        rows.bind("mocap_pos")[..., :2] = np.asarray(walls_xy).reshape(rows.nsim, -1, 2)
-        try:
-            rows.step(ids=moving, nstep=self.robot.num_substeps)
-        except mujoco_batch.SimulationError as error:
-            rows.bind("qpos")[error.ids] = np.nan  # the environment's guard ends these episodes
-        read: dict[str, Any] = {name: _as_float32(rows.bind(name), lead) for name in fields}
-        return engine.PhysicsState(**read)
+            # NumPy from here on: indexing a JAX array would compile anew for every number of rows.
+            fields = ("qpos", "qvel", "qacc_warmstart")
+            for name in fields:
+                view = rows.bind(name)
+                view[...] = np.asarray(getattr(state, name)).reshape(view.shape)
+            rows.bind("mocap_pos")[..., :2] = np.asarray(walls_xy).reshape(rows.nsim, -1, 2)
+            ctrls, running = np.asarray(ctrl).reshape(rows.nsim, -1), np.asarray(is_running).ravel()
+
+            # MuJoCo would take controls that are no numbers for zeros, and warn on the terminal.
+            is_number = np.isfinite(ctrls).all(1)
+            rows.bind("qpos")[running & ~is_number] = np.nan
+            moving = np.flatnonzero(running & is_number)
+            rows.bind("ctrl")[moving] = ctrls[moving]
+
+            try:
+                rows.step(ids=moving, nstep=self.robot.num_substeps)
+            except mujoco_batch.SimulationError as error:
+                rows.bind("qpos")[error.ids] = np.nan  # the environment's guard ends these episodes
+            return state.replace(**{name: _as_float32(rows.bind(name), lead) for name in fields})
 
     def _batch(self, num_rows: int) -> mujoco_batch.Batch:
         """Returns the simulations for `num_rows` rows, made on first use."""

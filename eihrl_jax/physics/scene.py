@@ -47,6 +47,7 @@ def build(robot: robot_lib.Robot, cell: float = base.CELL) -> mujoco.MjModel:
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
     except (ValueError, OSError) as error:
         raise _unusable(robot, error) from None
+
     spec.option.timestep = robot.physics_step
     is_in_fluid = spec.option.density > 0 or spec.option.viscosity > 0
     spec.option.integrator = (
@@ -54,10 +55,12 @@ def build(robot: robot_lib.Robot, cell: float = base.CELL) -> mujoco.MjModel:
         if is_in_fluid
         else mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     )
+    # Few, but the same for both engines, of which MJX runs all of them in every step.
     spec.option.iterations = 4
     spec.option.ls_iterations = 8
     # A NaN must reach the environment's guard instead of teleporting the robot to the origin.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -66,7 +69,7 @@ def build(robot: robot_lib.Robot, cell: float = base.CELL) -> mujoco.MjModel:
         conaffinity=BOTH | FLOOR_ONLY,
         **_CONTACT,
     )
-    half = cell / 2
+    half = cell / 2  # MuJoCo's sizes are half sides
     for i in range(robot.num_walls):
         body = spec.worldbody.add_body(name=f"wall_{i}", mocap=True, pos=[*PARKED_XY, half])
         body.add_geom(
@@ -77,6 +80,7 @@ def build(robot: robot_lib.Robot, cell: float = base.CELL) -> mujoco.MjModel:
             conaffinity=BOTH | WALLS_ONLY,
             **_CONTACT,
         )
+
     try:
         model = spec.compile()
     except ValueError as error:
@@ -100,14 +104,20 @@ _ROOT_JOINTS = {
 def _check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
     """Checks what the package takes for granted; a user's own model may be otherwise."""
     what = f"robot {robot.name!r}: {robot.mjcf}"
+
+    # The root: where qpos and qvel have position, heading and velocity of the torso.
     joints = _ROOT_JOINTS[robot.root]
     if tuple(model.jnt_type[: len(joints)]) != tuple(map(int, joints)):
         raise base.UserError(f"{what}: its first joints aren't those of root {robot.root!r}")
     axes = np.eye(3)[: len(joints)]
     if robot.root != "free" and (model.jnt_axis[: len(joints)] != axes).any():
         raise base.UserError(f"{what}: its first joints must slide along x and y, and turn about z")
+
+    # All other joints have one number in qpos and one in qvel: free and ball joints have more.
     if (model.jnt_type[len(joints) :] < int(mujoco.mjtJoint.mjJNT_SLIDE)).any():
         raise base.UserError(f"{what}: besides the root's, its joints must be hinges and slides")
+
+    # Controls are in [-1, 1] and all that there is to them: a state of an actuator would be lost.
     if robot.root == "slide" and model.actuator_trnid[:2, 0].tolist() != [0, 1]:
         raise base.UserError(f"{what}: its first two actuators must push along x and y")
     if not model.nu:
@@ -116,28 +126,33 @@ def _check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
         raise base.UserError(f"{what}: every actuator's ctrlrange must be -1 1")
     if model.na:
         raise base.UserError(f"{what}: its actuators must have no state, so no dyntype")
+
     if model.nmocap != robot.num_walls:
         raise base.UserError(f"{what}: it must have no mocap body of its own")
     _check_geoms(model, what)
+
     if not model.nkey:
         raise base.UserError(f"{what}: it has no keyframe, the posture in which episodes start")
     if robot.root == "free" and model.key_qpos[0, 4:6].any():
         raise base.UserError(f"{what}: its keyframe must be upright, turned about z alone")
+
     if robot.symmetry is not None:
         num_joints = model.njnt - len(joints)
         for name, size in (("joints", num_joints), ("controls", model.nu)):
-            found = robot.symmetry.size(name)
-            if found != size:
-                raise base.UserError(f"{what}: symmetry orders {found} {name}, it has {size}")
+            ordered = robot.symmetry.size(name)
+            if ordered != size:
+                raise base.UserError(f"{what}: symmetry orders {ordered} {name}, it has {size}")
 
 
 def _check_geoms(model: mujoco.MjModel, what: str) -> None:
     """Checks that the robot's geoms meet floor and walls alone, see `docs/robots.md`."""
+    # MuJoCo: geoms collide if the contype of one shares a bit with the conaffinity of the other.
     is_own = model.geom_conaffinity == 0
     for index in np.flatnonzero(~is_own).tolist():
         name = model.geom(index).name
         if name != "floor" and not name.startswith("wall_"):
             raise base.UserError(f"{what}: geom {name or index!r} must have conaffinity 0")
+
     if not np.isin(model.geom_contype[is_own], (0, BOTH, FLOOR_ONLY, WALLS_ONLY)).all():
         raise base.UserError(f"{what}: contype of a geom must be 0, 1, 2 or 4")
     if model.geom_margin[is_own].any():

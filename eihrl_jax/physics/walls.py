@@ -25,7 +25,9 @@ def nearby(
       num_walls: 3 or 8, see `Robot.num_walls`.
     """
     own_ij = maze_lib.cell_ij(xy)
+
     if num_walls == 3:
+        # Which corner of its own cell is nearest. Rows grow downwards, so y+ is row -1.
         x_sign, y_sign = jnp.where(xy >= maze_lib.cell_xy(own_ij), 1, -1)
         zero = jnp.zeros_like(x_sign)
         offset_ij = jnp.stack(
@@ -33,6 +35,7 @@ def nearby(
         )
     else:
         offset_ij = jnp.array(_RING)
+
     cell_xy = jax.vmap(maze_lib.cell_xy)(own_ij[None] + offset_ij)
     is_wall = jax.vmap(maze_lib.is_wall, in_axes=(None, 0))(maze, cell_xy)
     return jnp.where(is_wall[:, None], cell_xy, jnp.array([scene.PARKED_XY]))

@@ -11,7 +11,7 @@ import pytest
 from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import body as body_lib
-from eihrl_jax.envs import experience, locomotion, low_reward, rooms, wrappers
+from eihrl_jax.envs import experience, locomotion, low_obs, low_reward, rooms, wrappers
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engines
 
@@ -35,6 +35,16 @@ def _env(engine, **options):
     )
 
 
+def _obs(displacement_xy, time_left=1.0, direction=0):
+    """An observation of which the reward looks at all but the body."""
+    return low_obs.LowObs(
+        proprioception=jnp.zeros(0),
+        displacement_xy=jnp.float32(displacement_xy),
+        time_left=jnp.float32(time_left),
+        direction=jnp.int32(direction),
+    )
+
+
 @pytest.mark.parametrize("direction", range(4))
 def test_plain_reward_is_equation_1(direction):
     rng = np.random.default_rng(direction)
@@ -43,27 +53,16 @@ def test_plain_reward_is_equation_1(direction):
         goal = np.array(base.DIRECTIONS_XY[direction])
         cosine = goal @ step / np.linalg.norm(step)
         expected = 3.0 * cosine * np.linalg.norm(step)
-        found = low_reward.step_reward(
-            jnp.float32(before),
-            jnp.float32(step),
-            jnp.float32(0.5),
-            jnp.int32(direction),
-            jnp.array(False),
-            low_config.LowReward(),
-            25,
+        obs = _obs(before, time_left=0.5, direction=direction)
+        paid = low_reward.step_reward(
+            obs, jnp.float32(step), jnp.array(False), low_config.LowReward(), 25
         )
-        np.testing.assert_allclose(found, expected, atol=1e-5)
+        np.testing.assert_allclose(paid, expected, atol=1e-5)
 
 
 def test_reward_is_zero_and_smooth_at_rest():
     slope = jax.grad(low_reward.step_reward, argnums=1)(
-        jnp.zeros(2),
-        jnp.zeros(2),
-        jnp.float32(1.0),
-        jnp.int32(0),
-        jnp.array(False),
-        low_config.LowReward(),
-        25,
+        _obs([0.0, 0.0]), jnp.zeros(2), jnp.array(False), low_config.LowReward(), 25
     )
     np.testing.assert_allclose(slope, [3.0, 0.0])
 
@@ -71,10 +70,8 @@ def test_reward_is_zero_and_smooth_at_rest():
 def _pay(before, step, fell=False, time_left=1.0, **options):
     """Reward of a step towards y+, with four steps per subgoal."""
     options = low_config.LowReward(scale=1.0, **options)
-    before, step, left = jnp.array(before), jnp.array(step), jnp.float32(time_left)
-    return float(
-        low_reward.step_reward(before, step, left, jnp.int32(2), jnp.array(fell), options, 4)
-    )
+    obs = _obs(before, time_left, direction=2)
+    return float(low_reward.step_reward(obs, jnp.array(step), jnp.array(fell), options, 4))
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.envs import hierarchy, physics_maze, raster, task
 from eihrl_jax.physics import engines
+from tests.envs import pictures
 from tests.envs.sled import K, Sled
 
 TEXT = """\
@@ -141,7 +142,7 @@ def test_patch_shows_the_real_surroundings(env, maze):
     robot = state.obs[..., 2]
     assert bool(robot[7, 7])
     visited = jnp.zeros(9, bool)
-    expected = raster.patch(maze, xy, visited, robot, env.view)
+    expected = pictures.patch(maze, xy, visited, robot, env.view)
     np.testing.assert_array_equal(state.obs, expected)
     assert bool(state.obs[..., 1].any())
 

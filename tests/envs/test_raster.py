@@ -8,6 +8,7 @@ import pytest
 from eihrl_jax import base, mazes
 from eihrl_jax.envs import raster
 from eihrl_jax.mazes import maze as maze_lib
+from tests.envs import pictures
 
 VIEWS = [
     raster.View(),
@@ -23,7 +24,7 @@ NOTHING_VISITED = np.zeros(9, bool)
 
 @functools.cache
 def drawer(view: raster.View):
-    return jax.jit(functools.partial(raster.patch, view=view))
+    return jax.jit(functools.partial(pictures.patch, view=view))
 
 
 def draw(maze, xy, view, visited=NOTHING_VISITED, silhouette=None) -> np.ndarray:

@@ -6,6 +6,7 @@ import pytest
 from eihrl_jax import mazes
 from eihrl_jax.envs import raster, task
 from eihrl_jax.mazes import maze as maze_lib
+from tests.envs import pictures
 
 SEVEN = mazes.stack([mazes.load(name) for name in mazes.NAMES])
 
@@ -170,7 +171,7 @@ def test_the_picture_is_that_of_the_drawn_maze():
 
     def both(nav, xy):
         drawn = task.drawn_maze(table, nav)
-        expected = raster.patch(drawn, xy, nav.visited, silhouette, view)
+        expected = pictures.patch(drawn, xy, nav.visited, silhouette, view)
         return task.observe(table, nav, xy, raster.pack(silhouette, view), view), expected
 
     seen, expected = jax.jit(jax.vmap(both))(nav, xy)

@@ -25,7 +25,7 @@ from eihrl_jax.envs import wrappers
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import scene
 
-EPISODE_STEPS = 1_000
+EPISODE_STEPS = 1_000  # control steps
 
 
 class ForwardRunState(struct.PyTreeNode):
@@ -46,7 +46,7 @@ EnvState: TypeAlias = base.EnvState[ForwardRunState, base.GoalObs]
 
 
 class ForwardRun:
-    """Open floor. Metrics, so far in the episode: `return` and control `steps`."""
+    """Open floor, see the module. Metrics, so far in the episode: `return` and control `steps`."""
 
     def __init__(self, engine: engine_lib.Engine):
         """Takes what moves the robot."""
@@ -83,6 +83,7 @@ class ForwardRun:
 
 def _state(inner: ForwardRunState, outcome: base.Outcome, key: Key[Array, ""]) -> EnvState:
     """Observes and tells what `reset` and `step` led to."""
+    # Where the robot is, and how late it is, is told neither here nor in Gym.
     obs = base.GoalObs(
         xy=jnp.zeros(2),
         proprioception=inner.physics.proprioception,

@@ -26,7 +26,7 @@ from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import walls
 
-CELL = 4.0
+CELL = 4.0  # units
 TEXT = "#####\n#1..#\n###.#\n#S..#\n#####\n"
 START_XY = (1.5 * CELL, -3.5 * CELL)
 GOALS = (-2.0, 10.0)
@@ -35,8 +35,8 @@ GOALS = (-2.0, 10.0)
 FAR_XY = (0.0, 8.0)
 """The goal of the evaluation, from `START_XY`."""
 
-RADIUS = 2.5
-EPISODE_STEPS = 500
+RADIUS = 2.5  # units
+EPISODE_STEPS = 500  # control steps
 
 
 class UMazeState(struct.PyTreeNode):
@@ -65,7 +65,7 @@ EnvState: TypeAlias = base.EnvState[UMazeState, base.GoalObs]
 
 
 class UMaze:
-    """The maze.
+    """The maze, see the module.
 
     Metrics, so far in the episode: `success` has been at the goal, control `steps`, `return`, and 0
     or 1 for `fell` and `broke_down`.
@@ -99,7 +99,9 @@ class UMaze:
         """Draws a new episode; the key is consumed."""
         next_key, goal_key, pose_key = jax.random.split(key, 3)
         start_xy = jnp.array(START_XY)
+        # Walls included, so that some goals can't be reached.
         drawn = jax.random.uniform(goal_key, (2,), minval=GOALS[0], maxval=GOALS[1])
+
         physics = body_lib.draw_pose(self._engine, start_xy, pose_key)
         no = jnp.zeros((), bool)
         inner = UMazeState(
@@ -152,6 +154,7 @@ def _state(inner: UMazeState, outcome: base.Outcome, key: Key[Array, ""]) -> Env
         goal_xy=inner.goal_xy,
         time=steps / base.TIME_UNIT,
     )
+
     metrics = {
         "success": inner.has_arrived,
         "steps": steps,
