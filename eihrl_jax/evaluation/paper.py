@@ -26,6 +26,9 @@ HIGL_TABLE2: dict[str, Figure] = {"ant": (67.0, 5.2)}
 NAMES = {"full": "Ours", "oracle": "Ours-Oracle"}
 """What the paper calls its method, by movement."""
 
+RAND_H = "RAND-H"
+"""What the paper calls uniform directions."""
+
 
 def percent(figure: Figure | None) -> str:
     """Writes a figure, or a dash where the paper has none: "66.4 ± 5.4"."""

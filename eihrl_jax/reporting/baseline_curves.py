@@ -1,6 +1,8 @@
 """Learning of ours and the baselines for `experiments.report` (paper, Figures 5 and 6)."""
 
 import csv
+import dataclasses
+import functools
 import itertools
 import pathlib
 from collections.abc import Callable, Sequence
@@ -10,11 +12,13 @@ from jaxtyping import Float
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.drawing import curves
-from eihrl_jax.evaluation import results, tables
+from eihrl_jax.evaluation import paper, results, tables
 from eihrl_jax.reporting import cached_runs, page
 
+_OURS = "ours, walking"
+
 LINES = {
-    "ours, walking": ("ours", "walking"),
+    _OURS: ("ours", "walking"),
     "ours, oracle": ("ours", "eval"),
     "flat DroQ": ("droq", "eval"),
     "HIGL": ("higl", "eval"),
@@ -24,12 +28,7 @@ LINES = {
 }
 """What the pictures show: method of `compare_baselines`, and which of its evaluations."""
 
-RAND_H = "RAND-H"
-"""What the paper calls uniform directions."""
-
 LONG = "ours, oracle, long"
-
-_OURS = "ours, walking"
 
 _MEASURES: dict[base.Reward, tuple[str, ...]] = {
     "sparse": ("return", "success"),
@@ -44,13 +43,95 @@ _UNITS = {
 }
 """Name, factor and decimals of each."""
 
-_STYLES = ("ours, walking", "ours, oracle", "flat DroQ", "HIGL", "HESS", RAND_H, LONG)
+_STYLES = (_OURS, "ours, oracle", "flat DroQ", "HIGL", "HESS", paper.RAND_H, LONG)
 """Order in which lines are given to labels: those of one colour belong together."""
 
 _SPENT = 0.9
 """Share of the greatest budget from which on a run's budget is spent: rows differ in length."""
 
 Curve = Float[np.ndarray, "N 2"]
+Read = Callable[[pathlib.Path, str], Curve]
+"""Reads a column of metrics against one of the axes."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """The runs of all methods in a maze with a reward.
+
+    Attributes:
+      folder: of the runs.
+      maze: its name.
+      reward: what is paid.
+    """
+
+    folder: pathlib.Path
+    maze: str
+    reward: base.Reward
+
+    @property
+    def name(self) -> str:
+        """Name of the task in those of runs."""
+        return cached_runs.task(self.maze, self.reward)
+
+    @functools.cached_property
+    def finished(self) -> dict[str, list[pathlib.Path]]:
+        """Metrics by label that have spent the greatest budget of them all.
+
+        What hasn't been evaluated near there yet is still being trained, and left out.
+        """
+        ends: dict[str, dict[pathlib.Path, float]] = {}
+        for label, (method, name) in LINES.items():
+            for run in cached_runs.seeds_of(self.folder, f"{method}-{self.name}"):
+                file = run / "metrics.csv"
+                if file.is_file() and _is_evaluated(file, name):
+                    end = float(by_steps(file, f"{name}/success")[-1, 0])
+                    ends.setdefault(label, {})[file] = end
+
+        spent = _SPENT * max((end for files in ends.values() for end in files.values()), default=0)
+        return {
+            label: [file for file, end in files.items() if end >= spent]
+            for label, files in ends.items()
+        }
+
+    def curves(self, y: str, read: Read) -> dict[str, list[Curve]]:
+        """Reads the curves of each method and of RAND-H, one per seed; none if nothing is finished.
+
+        Args:
+          y: a name of `_UNITS`.
+          read: reads them.
+        """
+        learned = {
+            label: [read(file, f"{LINES[label][1]}/{y}") for file in files]
+            for label, files in self.finished.items()
+        }
+        # On the axis of episodes a run has no point before the first one has ended.
+        drawn = {label: lines for label, all_ in learned.items() if (lines := [*filter(len, all_)])}
+        return drawn | self._uniform(y, drawn) if drawn else {}
+
+    def _uniform(self, y: str, others: dict[str, list[Curve]]) -> dict[str, list[Curve]]:
+        """Returns RAND-H, which learns nothing, as level lines along all other curves."""
+        x = np.concatenate([curve[:, 0] for curves in others.values() for curve in curves])
+        lines = []
+        for run in cached_runs.seeds_of(self.folder, f"rand_h-{self.name}"):
+            cell = results.load(run / "eval.json").cells[0]
+            value = {
+                "success": cell.success.rate,
+                "return": cell.return_mean,
+                "reward": cell.return_mean / cell.decisions_mean,
+            }[y]
+            lines.append(np.array([[x.min(), value], [x.max(), value]]))
+        return {paper.RAND_H: lines} if lines else {}
+
+    def ends(self, y: str) -> dict[str, Curve]:
+        """Returns the last points of all curves by label, one per seed."""
+        return {
+            label: np.stack([line[-1] for line in lines])
+            for label, lines in self.curves(y, by_steps).items()
+        }
+
+
+Ends = dict[str, dict[str, Curve]]
+"""The ends of all methods' curves by maze and label."""
 
 
 def section(
@@ -69,17 +150,18 @@ def section(
     """
     pictures, at_the_end = [], []
     if folder is not None:
-        for maze, reward in itertools.product(mazes.NAMES, base.REWARDS):
-            pictures += _pictures(long, folder, maze, reward, out)
-        if not pictures:
+        pairs = itertools.product(mazes.NAMES, base.REWARDS)
+        tasks = [task for pair in pairs if (task := Task(folder, *pair)).finished]
+        if not tasks:
             raise base.UserError(f"baselines = {folder} holds no <method>-<maze>-<seed>")
-        ends: dict[tuple[base.Reward, str], dict[str, dict[str, Curve]]] = {
-            (reward, y): found
-            for reward in base.REWARDS
-            for y in reversed(_MEASURES[reward])
-            if (found := _ends(folder, reward, y))
-        }
-        at_the_end = [_at_the_end(*task, found) for task, found in ends.items()]
+        pictures = [picture for task in tasks for picture in _pictures(task, long, out)]
+
+        ends: dict[tuple[base.Reward, str], Ends] = {}
+        for reward in base.REWARDS:
+            here = [task for task in tasks if task.reward == reward]
+            for y in reversed(_MEASURES[reward]) if here else ():
+                ends[reward, y] = {task.maze: task.ends(y) for task in here}
+        at_the_end = [_at_the_end(*what, by_maze) for what, by_maze in ends.items()]
         at_the_end.append(_where_ours_is_reached(ends))
     return page.Section(
         title="Learning at equal budgets (Figures 5 and 6)",
@@ -94,37 +176,23 @@ def section(
     )
 
 
-def _ends(folder: pathlib.Path, reward: base.Reward, y: str) -> dict[str, dict[str, Curve]]:
-    """Returns the last points of all methods' curves, one per seed, by maze and label."""
-    found = {}
-    for maze in mazes.NAMES:
-        drawn = _at_equal_budgets(folder, cached_runs.task(maze, reward), y, _by_steps)
-        if drawn:
-            found[maze] = {
-                label: np.stack([line[-1] for line in lines]) for label, lines in drawn.items()
-            }
-    return found
-
-
-def _at_the_end(reward: base.Reward, y: str, found: dict[str, dict[str, Curve]]) -> tables.Table:
+def _at_the_end(reward: base.Reward, y: str, ends: Ends) -> tables.Table:
     """Compares the last evaluations of all methods, their mean and range over seeds."""
     rows = [
-        [label, *(_spread(found[maze].get(label), y) for maze in found)]
-        for label in (*LINES, RAND_H)
-        if any(label in ends for ends in found.values())
+        [label, *(_spread(by_label.get(label), y) for by_label in ends.values())]
+        for label in (*LINES, paper.RAND_H)
+        if any(label in by_label for by_label in ends.values())
     ]
-    steps = [float(end[:, 0].max()) for ends in found.values() for end in ends.values()]
+    steps = [float(end[:, 0].max()) for by_label in ends.values() for end in by_label.values()]
     title = f"{_UNITS[y][0].capitalize()}, {reward} reward, after {_steps(steps)}"
-    return tables.Table(f"{title}: mean (range), seeds", ["method", *found], rows)
+    return tables.Table(f"{title}: mean (range), seeds", ["method", *ends], rows)
 
 
-def _where_ours_is_reached(
-    ends: dict[tuple[base.Reward, str], dict[str, dict[str, Curve]]],
-) -> tables.Table:
+def _where_ours_is_reached(all_ends: dict[tuple[base.Reward, str], Ends]) -> tables.Table:
     """Lists the tasks in which another method's best seed is as good as our worst, walking."""
     rows = []
-    for (reward, y), found in ends.items():
-        for maze, by_label in found.items():
+    for (reward, y), ends in all_ends.items():
+        for maze, by_label in ends.items():
             if _OURS not in by_label:
                 continue
             worst = by_label[_OURS][:, 1].min()
@@ -157,26 +225,19 @@ def _steps(ends: Sequence[float]) -> str:
 
 
 def _pictures(
-    long: Callable[[str], list[pathlib.Path]],
-    folder: pathlib.Path,
-    maze: str,
-    reward: base.Reward,
-    out: pathlib.Path,
+    task: Task, long: Callable[[str], list[pathlib.Path]], out: pathlib.Path
 ) -> list[page.Picture]:
-    """Draws a task against both axes; nothing where no method has learned it."""
-    task = cached_runs.task(maze, reward)
-    spent = _at_equal_budgets(folder, task, "success", _by_steps).values()
-    if not spent:
-        return []
-    budget = _steps([float(line[-1, 0]) for lines in spent for line in lines])
+    """Draws a task against both axes."""
+    budget = _steps([float(x) for end in task.ends("success").values() for x in end[:, 0]])
+    out.mkdir(parents=True, exist_ok=True)
     pictures = []
-    for y, (axis, read) in itertools.product(_MEASURES[reward], _AXES.items()):
-        drawn = _at_equal_budgets(folder, task, y, read)
-        if files := long(f"best-{task}"):
+    for y, (axis, read) in itertools.product(_MEASURES[task.reward], AXES.items()):
+        drawn = task.curves(y, read)
+        if files := long(f"best-{task.name}"):
             drawn[LONG] = [read(file, f"eval/{y}") for file in files]
+
         label, scale, _ = _UNITS[y]
-        path = out / f"baselines-{task}-{y}-{axis.replace(' ', '-')}.png"
-        out.mkdir(parents=True, exist_ok=True)
+        path = out / f"baselines-{task.name}-{y}-{axis.replace(' ', '-')}.png"
         curves.save_spread(
             path,
             drawn,
@@ -186,82 +247,27 @@ def _pictures(
             has_log_x=True,
             labels=_STYLES,
         )
-        text = f"{maze}, {reward} reward: {y} against {axis}, mean and range over seeds."
+        text = f"{task.maze}, {task.reward} reward: {y} against {axis}, mean and range over seeds."
         pictures.append(page.Picture(path, text))
     return pictures
 
 
-def _at_equal_budgets(
-    folder: pathlib.Path, task: str, y: str, read: Callable[[pathlib.Path, str], Curve]
-) -> dict[str, list[Curve]]:
-    """Reads the curves of each method in a task and of RAND-H; none if no method has learned it."""
-    found = _lines(folder, task, y, read)
-    return found | _flat(folder, task, y, found) if found else {}
-
-
-def _lines(
-    folder: pathlib.Path, task: str, y: str, read: Callable[[pathlib.Path, str], Curve]
-) -> dict[str, list[Curve]]:
-    """Reads the curves of each method in a task, one per seed."""
-    found = {}
-    for label, files in _finished(folder, task).items():
-        if lines := [line for file in files if len(line := read(file, f"{LINES[label][1]}/{y}"))]:
-            found[label] = lines
-    return found
-
-
-def _finished(folder: pathlib.Path, task: str) -> dict[str, list[pathlib.Path]]:
-    """Lists the metrics of each method in a task that have spent the greatest budget of them all.
-
-    What hasn't been evaluated near there yet is still being trained, and left out.
-    """
-    ends: dict[str, dict[pathlib.Path, float]] = {}
-    for label, (method, name) in LINES.items():
-        for run in cached_runs.seeds_of(folder, f"{method}-{task}"):
-            file = run / "metrics.csv"
-            if file.is_file() and _is_evaluated(file, name):
-                end = float(_by_steps(file, f"{name}/success")[-1, 0])
-                ends.setdefault(label, {})[file] = end
-    spent = _SPENT * max((end for files in ends.values() for end in files.values()), default=0.0)
-    return {
-        label: [file for file, end in files.items() if end >= spent]
-        for label, files in ends.items()
-    }
-
-
 def _is_evaluated(file: pathlib.Path, name: str) -> bool:
-    """Tells whether a run has been evaluated; its file may be empty until then."""
+    """Returns whether a run has been evaluated; its file may be empty until then."""
     if f"{name}/success" not in curves.columns(file):
         return False
     with file.open(newline="") as text:
         return any(row[f"{name}/success"] for row in csv.DictReader(text))
 
 
-def _flat(
-    folder: pathlib.Path, task: str, y: str, others: dict[str, list[Curve]]
-) -> dict[str, list[Curve]]:
-    """Returns RAND-H, which learns nothing, as lines along all other curves."""
-    x = np.concatenate([curve[:, 0] for curves in others.values() for curve in curves])
-    lines = []
-    for run in cached_runs.seeds_of(folder, f"rand_h-{task}"):
-        cell = results.load(run / "eval.json").cells[0]
-        value = {
-            "success": cell.success.rate,
-            "return": cell.return_mean,
-            "reward": cell.return_mean / cell.decisions_mean,
-        }[y]
-        lines.append(np.array([[x.min(), value], [x.max(), value]]))
-    return {RAND_H: lines} if lines else {}
-
-
-def _by_steps(file: pathlib.Path, y: str) -> Curve:
+def by_steps(file: pathlib.Path, y: str) -> Curve:
     """Reads a curve against control steps."""
     if "num_decisions" not in curves.columns(file):
         return curves.read(file, "step", y)
     return curves.read(file, "num_decisions", y) * [robots.load("ant").steps_per_subgoal, 1.0]
 
 
-def _by_episodes(file: pathlib.Path, y: str) -> Curve:
+def by_episodes(file: pathlib.Path, y: str) -> Curve:
     """Reads a curve against the episodes that had ended, from the first one on."""
     if "episodes" in curves.columns(file):
         x = "step"
@@ -271,12 +277,10 @@ def _by_episodes(file: pathlib.Path, y: str) -> Curve:
         x = "num_decisions"
         done, length = curves.read(file, x, "decisions").T
         ended = np.diff(done, prepend=0.0) / length
-    found = curves.read(file, x, y)
-    found[:, 0] = np.interp(found[:, 0], done, np.cumsum(ended))
-    return found[found[:, 0] > 0.0]
+
+    curve = curves.read(file, x, y)
+    curve[:, 0] = np.interp(curve[:, 0], done, np.cumsum(ended))
+    return curve[curve[:, 0] > 0.0]
 
 
-_AXES: dict[str, Callable[[pathlib.Path, str], Curve]] = {
-    "episodes": _by_episodes,
-    "control steps": _by_steps,
-}
+AXES: dict[str, Read] = {"episodes": by_episodes, "control steps": by_steps}

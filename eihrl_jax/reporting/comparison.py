@@ -5,7 +5,7 @@ alike from different seeds, over which mean and standard deviation are taken.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -15,6 +15,9 @@ NOTE = (
     "Success is achieved goals / total goals in per cent: mean ± standard deviation over high "
     "levels trained alike from different seeds; the paper's ± is its own."
 )
+
+MOVEMENTS = {"oracle": "oracle", "full": "walking"}
+"""How rows call the movements, in their order."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,43 +35,57 @@ class Row:
     published: Mapping[str, paper.Figure] | None = None
 
 
-def select(
-    cells: Sequence[results.Cell], *, movement: str, robot: str | None = None
-) -> list[results.Cell]:
-    """Picks the results of one movement, and of one robot where it is named."""
+def select(cells: Sequence[results.Cell], movement: str) -> list[results.Cell]:
+    """Picks the results of one movement."""
+    return [cell for cell in cells if cell.agent.movement == movement]
+
+
+def by_movement(
+    evaluated: Mapping[str, Sequence[results.Cell]], movements: Sequence[str] = tuple(MOVEMENTS)
+) -> list[Row]:
+    """Returns a row for each label and movement that was evaluated, label by label."""
     return [
-        cell
-        for cell in cells
-        if cell.agent.movement == movement and robot in (None, cell.agent.robot)
+        Row(f"{label}, {MOVEMENTS[movement]}", here)
+        for label, cells in evaluated.items()
+        for movement in movements
+        if (here := select(cells, movement))
     ]
+
+
+def of_variants(title: str, evaluated: Mapping[str, Sequence[results.Cell]]) -> tables.Table:
+    """Compares what trainings with one thing changed reach in Table 1, movement by movement."""
+    rows = [row for movement in MOVEMENTS for row in by_movement(evaluated, (movement,))]
+    return success_by_maze(title, rows, tuple(tables.TABLE1_MAZES))
 
 
 def success_by_maze(title: str, rows: Sequence[Row], mazes: Sequence[str]) -> tables.Table:
     """Compares success in several mazes."""
-    body = [
-        [
-            row.label,
-            *(_entry(row, maze, [c for c in row.cells if c.maze == maze]) for maze in mazes),
-        ]
-        for row in rows
-    ]
-    names = [tables.TABLE1_MAZES.get(maze, maze) for maze in mazes]
-    return tables.Table(title, ["success %", *names], body)
+    names = {maze: tables.TABLE1_MAZES.get(maze, maze) for maze in mazes}
+    return _success(title, rows, names, lambda cell: cell.maze)
 
 
 def success_by_robot(title: str, rows: Sequence[Row], robots: Sequence[str]) -> tables.Table:
     """Compares success of several robots in one maze."""
-    body = [
-        [
-            row.label,
-            *(
-                _entry(row, robot, [c for c in row.cells if c.agent.robot == robot])
-                for robot in robots
-            ),
+    return _success(title, rows, {name: name for name in robots}, lambda cell: cell.agent.robot)
+
+
+def _success(
+    title: str,
+    rows: Sequence[Row],
+    columns: Mapping[str, str],
+    column_of: Callable[[results.Cell], str],
+) -> tables.Table:
+    """Compares success; `columns` are what `column_of` tells cells apart by, and their heads."""
+    body = []
+    for row in rows:
+        entries = [
+            mean([cell for cell in row.cells if column_of(cell) == column])
+            if row.published is None
+            else paper.percent(row.published.get(column))
+            for column in columns
         ]
-        for row in rows
-    ]
-    return tables.Table(title, ["success %", *robots], body)
+        body.append([row.label, *entries])
+    return tables.Table(title, ["success %", *columns.values()], body)
 
 
 def overall(title: str, rows: Sequence[Row]) -> tables.Table:
@@ -82,10 +99,8 @@ def failures(title: str, rows: Sequence[Row]) -> tables.Table:
     for row in rows:
         for maze in dict.fromkeys(cell.maze for cell in row.cells):
             here = [cell.outcomes for cell in row.cells if cell.maze == maze]
-            counts = np.array([[getattr(o, name) for name in results.OUTCOMES] for o in here]).sum(
-                0
-            )
-            shares = [f"{share:.1f}" for share in 100.0 * counts / counts.sum()]
+            counts = [sum(getattr(o, name) for o in here) for name in results.OUTCOMES]
+            shares = [f"{100.0 * count / sum(counts):.1f}" for count in counts]
             body.append([row.label, tables.TABLE1_MAZES.get(maze, maze), *shares])
     return tables.Table(title, ["% of episodes", "maze", *results.OUTCOMES], body)
 
@@ -104,9 +119,3 @@ def mean(cells: Sequence[results.Cell]) -> str:
     if len(rates) == 1:
         return f"{100 * rates[0]:.1f}"
     return tables.spread(statistics.over_runs(rates))
-
-
-def _entry(row: Row, column: str, cells: Sequence[results.Cell]) -> str:
-    if row.published is not None:
-        return paper.percent(row.published.get(column))
-    return mean(cells)

@@ -3,9 +3,10 @@
 import dataclasses
 import itertools
 import pathlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from eihrl_jax import base
+from eihrl_jax.config import changes
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.drawing import curves
 from eihrl_jax.evaluation import paper, results, tables
@@ -26,10 +27,10 @@ _CURVES = {
 }
 """What learning curves show: column of the metrics, axis and factor."""
 
-MOVEMENTS = {"oracle": "oracle", "full": "walking"}
 ROOM_SIDE = 9
+"""Rows and columns inside of a generated room."""
 
-RAND_H = baseline_curves.RAND_H
+Cells = tuple[results.Cell, ...]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -49,7 +50,7 @@ class Runs:
 
     folder: pathlib.Path
     out: pathlib.Path
-    movement: tuple[str, ...]
+    movement: tuple[base.MovementName, ...]
     episodes: int
     slow_episodes: int
     num_rooms: int
@@ -67,17 +68,25 @@ class Runs:
         files = [folder / name for folder in folders for name in names]
         return [file for file in files if file.exists()]
 
-    def evaluate(
-        self, name: str, high: tuple[str, ...], **options: object
-    ) -> tuple[results.Cell, ...]:
-        """Returns the results of an evaluation, made if it isn't there; none without high level."""
+    def evaluate(self, name: str, high: tuple[str, ...], **options: object) -> Cells:
+        """Returns the results of an evaluation, made if it isn't there; none without high level.
+
+        Args:
+          name: of the evaluation's folder.
+          high: the high levels.
+          **options: of `EvaluateConfig`, where they aren't the report's own.
+        """
         if not high:
             return ()
-        wanted = {"episodes": self.episodes, "movement": self.movement, "high": high}
-        wanted |= {"out": self.out / "evaluations" / name} | options
-        return cached_runs.evaluated(evaluate_config.EvaluateConfig(**wanted))  # pyright: ignore
+        own = evaluate_config.EvaluateConfig(
+            episodes=self.episodes,
+            movement=self.movement,
+            high=high,
+            out=self.out / "evaluations" / name,
+        )
+        return cached_runs.evaluated(changes.apply(own, options))
 
-    def higl(self, name: str, trained_in: str, mazes: tuple[str, ...]) -> tuple[results.Cell, ...]:
+    def higl(self, name: str, trained_in: str, mazes: tuple[str, ...]) -> Cells:
         """Returns the results of HIGL, see `evaluate`; none where nobody walks."""
         if "full" not in self.movement:
             return ()
@@ -86,31 +95,32 @@ class Runs:
 
     def picture(self, name: str, pattern: str, caption: str) -> list[page.Picture]:
         """Returns the first picture of an evaluation whose name fits, if there is one."""
-        found = sorted((self.out / "evaluations" / name).glob(pattern))
-        return [page.Picture(path, caption) for path in found[:1]]
+        paths = sorted((self.out / "evaluations" / name).glob(pattern))
+        return [page.Picture(path, caption) for path in paths[:1]]
 
 
 def table1(runs: Runs) -> page.Section:
     """Trained in the Random Square alone, then unchanged in the others."""
-    evaluated = {
-        preset: runs.evaluate(f"table1-{preset}", highs, mazes=TABLE1)
-        for preset, highs, _ in _trained_for_others(runs)
+    ours = {
+        label: runs.evaluate(f"table1-{preset}", highs, mazes=TABLE1)
+        for preset, label, highs in _trained_for_others(runs)
     }
-    evaluated[RAND_H] = runs.evaluate("table1-random", (evaluate_config.UNIFORM,), mazes=TABLE1)
-    evaluated["HIGL"] = runs.higl("table1-higl", "random", TABLE1)
-    rows = [
+    uniform = runs.evaluate("table1-random", (evaluate_config.UNIFORM,), mazes=TABLE1)
+    higl = runs.higl("table1-higl", "random", TABLE1)
+    rows = comparison.by_movement({**ours, paper.RAND_H: uniform, "HIGL": higl})
+
+    published = [
         comparison.Row("paper, oracle", published=paper.TABLE1["oracle"]),
         comparison.Row("paper, walking", published=paper.TABLE1["full"]),
         comparison.Row("paper, HIGL", published=paper.HIGL_TABLE1),
     ]
-    ours = _rows(evaluated)
     return page.Section(
         title="Zero-shot mazes (Table 1)",
         text="Trained on the Random Square with oracle movement and used unchanged in mazes it has "
         "never seen; the generalist was trained in random rooms and has seen none of the four.",
         tables=[
-            comparison.success_by_maze("Table 1", [*rows, *ours], TABLE1),
-            comparison.failures("How episodes of Table 1 ended", ours),
+            comparison.success_by_maze("Table 1", [*published, *rows], TABLE1),
+            comparison.failures("How episodes of Table 1 ended", rows),
         ],
         pictures=[
             *runs.picture("table1-best", "*full*heatmaps.png", "Where the walking ant was."),
@@ -122,16 +132,17 @@ def table1(runs: Runs) -> page.Section:
 
 def trained(runs: Runs) -> page.Section:
     """Trained in the maze itself."""
-    rows = []
-    for preset in ("best", "paper"):
-        cells = [
+    evaluated = {
+        PRESETS[preset]: [
             cell
             for maze in TRAINED
             for cell in runs.evaluate(
                 f"{maze}-{preset}", runs.highs(f"{preset}-{maze}"), mazes=(maze,)
             )
         ]
-        rows += _rows({preset: tuple(cells)})
+        for preset in ("best", "paper")
+    }
+    rows = comparison.by_movement(evaluated)
     return page.Section(
         title="Trained in the maze itself",
         text="U, S and Spiral, with the time limits of the paper's Table 3.",
@@ -152,25 +163,30 @@ def trained(runs: Runs) -> page.Section:
 
 def table2(runs: Runs) -> page.Section:
     """Trained in U with the ant's postures, then with other robots."""
+    evaluated: dict[str, Sequence[results.Cell]] = {
+        PRESETS[preset]: [
+            cell
+            for movement, robot in itertools.product(runs.movement, ROBOTS)
+            for cell in runs.evaluate(
+                f"table2-{preset}-{robot}-{movement}",
+                runs.highs(f"{preset}-u"),
+                mazes=("u",),
+                robot=(robot,),
+                movement=(movement,),
+                episodes=runs.slow_episodes
+                if movement == "full" and robot in SLOW
+                else runs.episodes,
+            )
+        ]
+        for preset in ("best", "paper")
+    }
+    evaluated["HIGL"] = runs.higl("table2-higl", "u", ("u",))
+
     rows = [
         comparison.Row("paper, oracle", published=paper.TABLE2),
         comparison.Row("paper, HIGL", published=paper.HIGL_TABLE2),
+        *comparison.by_movement(evaluated),
     ]
-    for preset in ("best", "paper"):
-        highs, cells = runs.highs(f"{preset}-u"), []
-        for movement in runs.movement:
-            for robot in ROBOTS:
-                is_slow = movement == "full" and robot in SLOW
-                cells += runs.evaluate(
-                    f"table2-{preset}-{robot}-{movement}",
-                    highs,
-                    mazes=("u",),
-                    robot=(robot,),
-                    movement=(movement,),
-                    episodes=runs.slow_episodes if is_slow else runs.episodes,
-                )
-        rows += _rows({preset: tuple(cells)})
-    rows += _rows({"HIGL": runs.higl("table2-higl", "u", ("u",))})
     return page.Section(
         title="Zero-shot robots (Table 2)",
         text="Trained in the U-shaped maze as an ant, then unchanged as other robots. Who sees "
@@ -187,26 +203,25 @@ def table2(runs: Runs) -> page.Section:
 
 def more_time(runs: Runs) -> page.Section:
     """What more time is worth, and rooms of unseen seeds."""
-    options = {"mazes": TABLE1, "movement": ("oracle",), "num_decisions": 48, "animate": "none"}
-    trained = _trained_for_others(runs)
-    rows = [
-        comparison.Row(label, runs.evaluate(f"twice-{preset}", highs, **options))
-        for preset, highs, label in trained
-    ]
-    rooms = [
-        comparison.Row(label, _in_rooms(runs, preset, highs)) for preset, highs, label in trained
-    ]
-    table = comparison.overall(
+    oracle = {"movement": ("oracle",), "animate": "none"}
+    late, in_rooms = [], []
+    for preset, label, highs in _trained_for_others(runs):
+        cells = runs.evaluate(f"twice-{preset}", highs, mazes=TABLE1, num_decisions=48, **oracle)
+        late.append(comparison.Row(label, cells))
+        once_each = {"mazes": _rooms(runs), "episodes": 1, "heatmaps": False}
+        cells = runs.evaluate(f"rooms-{preset}", highs, **once_each, **oracle)
+        in_rooms.append(comparison.Row(label, cells))
+
+    title = (
         f"{runs.num_rooms} generated {ROOM_SIDE}x{ROOM_SIDE} rooms of unseen seeds, "
-        "four times the shortest tour",
-        rooms,
+        "four times the shortest tour"
     )
     return page.Section(
         title="Twice the time, and generated rooms",
         text="Oracle movement. What twice the time limit adds was only late before.",
         tables=[
-            comparison.success_by_maze("Within twice the limit", rows, TABLE1),
-            table,
+            comparison.success_by_maze("Within twice the limit", late, TABLE1),
+            comparison.overall(title, in_rooms),
         ],
     )
 
@@ -218,10 +233,14 @@ def learning(runs: Runs) -> page.Section:
         ("random", *TRAINED, "rooms"), _CURVES.items()
     ):
         reward = "-dense" if kind.startswith("dense") else ""
-        drawn = {}
-        for preset, name in PRESETS.items():
-            if files := runs.metrics(f"{preset}-{maze}{reward}"):
-                drawn[name] = [curves.read(path, "num_decisions", column) for path in files]
+        metrics = {
+            name: runs.metrics(f"{preset}-{maze}{reward}") for preset, name in PRESETS.items()
+        }
+        drawn = {
+            name: [curves.read(path, "num_decisions", column) for path in files]
+            for name, files in metrics.items()
+            if files
+        }
         if drawn:
             runs.out.mkdir(parents=True, exist_ok=True)
             path = runs.out / f"learning-{maze}-{kind.replace(', ', '-')}.png"
@@ -244,17 +263,11 @@ def ablations(runs: Runs) -> page.Section:
     """What trainings with one thing changed reach, from folders of `ablate_high`."""
     shown, pictures = [], []
     for folder in runs.ablations:
-        found = sorted((folder / "evaluations").glob("*/eval.json"), key=_ablation_order)
-        if not found:
+        files = sorted((folder / "evaluations").glob("*/eval.json"), key=_ablation_order)
+        if not files:
             raise base.UserError(f"ablations = {folder} holds no evaluations/*/eval.json")
-        evaluated = {_variant(path): results.load(path).cells for path in found}
-        rows = [
-            comparison.Row(f"{label}, {name}", here)
-            for movement, name in MOVEMENTS.items()
-            for label, cells in evaluated.items()
-            if (here := comparison.select(cells, movement=movement))
-        ]
-        shown.append(comparison.success_by_maze(f"Ablations: {folder.name}", rows, TABLE1))
+        evaluated = {_variant(file): results.load(file).cells for file in files}
+        shown.append(comparison.of_variants(f"Ablations: {folder.name}", evaluated))
         if (picture := folder / "curves.png").exists():
             pictures.append(page.Picture(picture, f"Success while training, {folder.name}."))
     return page.Section(
@@ -278,51 +291,33 @@ PARTS: dict[str, Callable[[Runs], page.Section]] = {
 """Parts of the report by name, in their order on the page."""
 
 
-def _rows(evaluated: dict[str, tuple[results.Cell, ...]]) -> list[comparison.Row]:
-    """Returns a row for each label and movement that was evaluated."""
-    return [
-        comparison.Row(f"{PRESETS.get(label, label)}, {name}", here)
-        for label, cells in evaluated.items()
-        for movement, name in MOVEMENTS.items()
-        if (here := comparison.select(cells, movement=movement))
-    ]
-
-
-def _trained_for_others(runs: Runs) -> list[tuple[str, tuple[str, ...], str]]:
-    """Lists what is used in mazes that it wasn't trained in: preset, high levels, label."""
+def _trained_for_others(runs: Runs) -> list[tuple[str, str, tuple[str, ...]]]:
+    """Lists what is used in mazes that it wasn't trained in: preset, label, high levels."""
     trained = [
-        (preset, runs.highs(f"{preset}-{'rooms' if preset == 'generalist' else 'random'}"), label)
+        (preset, label, runs.highs(f"{preset}-{'rooms' if preset == 'generalist' else 'random'}"))
         for preset, label in PRESETS.items()
     ]
-    return [(preset, highs, label) for preset, highs, label in trained if highs]
+    return [(preset, label, highs) for preset, label, highs in trained if highs]
 
 
-def _in_rooms(runs: Runs, preset: str, highs: tuple[str, ...]) -> tuple[results.Cell, ...]:
-    """Evaluates in generated rooms that nothing was trained in, one episode each."""
+def _rooms(runs: Runs) -> tuple[str, ...]:
+    """Generates rooms that nothing was trained in, unless they are there; returns their files."""
     folder = runs.out / "rooms"
-    files = [folder / f"room-{seed:05d}.txt" for seed in range(runs.num_rooms)]
     folder.mkdir(parents=True, exist_ok=True)
-    for seed, file in enumerate(files):
+    files = {seed: folder / f"room-{seed:05d}.txt" for seed in range(runs.num_rooms)}
+    for seed, file in files.items():
         if not file.exists():
             file.write_text(generators.random_room(seed, ROOM_SIDE, ROOM_SIDE))
-    return runs.evaluate(
-        f"rooms-{preset}",
-        highs,
-        mazes=tuple(map(str, files)),
-        movement=("oracle",),
-        episodes=1,
-        animate="none",
-        heatmaps=False,
-    )
+    return tuple(map(str, files.values()))
 
 
 def _ablation_order(path: pathlib.Path) -> tuple[int, str]:
     """Puts the preset itself first and uniform directions last."""
     name = _variant(path)
-    return {"preset": 0, RAND_H: 2}.get(name, 1), name
+    return {"preset": 0, paper.RAND_H: 2}.get(name, 1), name
 
 
 def _variant(path: pathlib.Path) -> str:
     """Returns what `ablate_high` calls the variant whose evaluation this is."""
     folder = path.parent.name
-    return folder if folder == RAND_H else folder.replace("-", " ")
+    return folder if folder == paper.RAND_H else folder.replace("-", " ")

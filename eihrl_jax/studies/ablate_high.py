@@ -8,8 +8,8 @@ from eihrl_jax.config import changes, checks, limits, presets
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.drawing import curves
-from eihrl_jax.evaluation import tables
-from eihrl_jax.reporting import cached_runs, comparison, sections
+from eihrl_jax.evaluation import paper, tables
+from eihrl_jax.reporting import cached_runs, comparison
 from eihrl_jax.studies import ablation
 from eihrl_jax.training import high
 
@@ -88,7 +88,7 @@ def main(config: AblationConfig) -> None:
     runs = _runs(config)
     chosen = config.variants or tuple(runs.variants)
     runs.train(chosen, high.train)
-    for variant in (*chosen, sections.RAND_H):
+    for variant in (*chosen, paper.RAND_H):
         cached_runs.evaluated(_evaluation(config, runs, variant))
 
     table = compare(config)
@@ -111,20 +111,15 @@ def compare(config: AblationConfig) -> str:
     )
 
     evaluations = {
-        variant: _evaluation(config, runs, variant) for variant in (*runs.variants, sections.RAND_H)
+        variant: _evaluation(config, runs, variant) for variant in (*runs.variants, paper.RAND_H)
     }
     evaluated = {
         variant: cached_runs.evaluated(options)
         for variant, options in evaluations.items()
         if options.out.exists()
     }
-    rows = [
-        comparison.Row(f"{variant}, {movement}", comparison.select(cells, movement=movement))
-        for movement in config.movement
-        for variant, cells in evaluated.items()
-    ]
     title = f"Preset {config.preset}, one thing changed at a time"
-    return comparison.success_by_maze(title, rows, tuple(tables.TABLE1_MAZES)).markdown() + "\n"
+    return comparison.of_variants(title, evaluated).markdown() + "\n"
 
 
 def _runs(config: AblationConfig) -> ablation.Ablation[high_config.HighConfig]:
@@ -142,7 +137,7 @@ def _evaluation(
 ) -> evaluate_config.EvaluateConfig:
     """Returns the options with which what was trained alike is evaluated."""
     highs = (evaluate_config.UNIFORM,)
-    if variant != sections.RAND_H:
+    if variant != paper.RAND_H:
         highs = tuple(str(options.run) for options in runs.runs(variant))
     return evaluate_config.EvaluateConfig(
         mazes=tuple(tables.TABLE1_MAZES),

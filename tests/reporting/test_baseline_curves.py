@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from eihrl_jax import base
+from eihrl_jax.drawing import curves
 from eihrl_jax.evaluation import results, statistics
 from eihrl_jax.reporting import baseline_curves
 
@@ -42,6 +43,12 @@ RANDOM = results.Cell(
 
 
 @pytest.fixture
+def undrawn(monkeypatch):
+    """Leaves the pictures empty, where nobody looks at them."""
+    monkeypatch.setattr(curves, "save_spread", lambda path, *_, **__: path.touch())
+
+
+@pytest.fixture
 def folders(tmp_path):
     for name, text in (
         ("baselines/higl-u", BASELINE),
@@ -73,40 +80,43 @@ def test_episodes_and_steps_are_counted_up_to_each_evaluation(folders):
         (ours, "episodes", [[50.0, 0.2], [250.0, 0.9]]),
         (ours, "control steps", [[25e3, 0.2], [75e3, 0.9]]),
     ):
-        found = baseline_curves._AXES[axis](file, "eval/success")
+        found = baseline_curves.AXES[axis](file, "eval/success")
         np.testing.assert_allclose(found, expected)
 
 
 def ours(folders):
-    """Finds our metrics as `_report_parts.Runs.metrics` does."""
+    """Finds our metrics as `sections.Runs.metrics` does."""
     return lambda trained: sorted((folders / "ours").glob(f"{trained}-[0-9]*/metrics.csv"))
+
+
+def task(folders, maze):
+    return baseline_curves.Task(folders / "baselines", maze, "sparse")
 
 
 @pytest.mark.parametrize(("y", "value"), [("success", 0.3), ("return", 6.0), ("reward", 0.25)])
 def test_rand_h_is_a_level_line_along_all_others(folders, y, value):
     others = {"ours, walking": [np.array([[4e3, 0.5], [8e3, 0.9]])]}
-    (line,) = baseline_curves._flat(folders / "baselines", "u", y, others)["RAND-H"]
+    (line,) = task(folders, "u")._uniform(y, others)["RAND-H"]
     np.testing.assert_allclose(line, [[4e3, value], [8e3, value]])
-    assert not baseline_curves._flat(folders / "baselines", "s", y, others)
+    assert not task(folders, "s")._uniform(y, others)
 
 
 def test_ours_has_a_line_walking_and_one_moved_by_the_oracle(folders):
-    read = baseline_curves._AXES["control steps"]
-    found = baseline_curves._lines(folders / "baselines", "u", "success", read)
-    assert list(found) == ["ours, walking", "ours, oracle", "HIGL"]
+    found = task(folders, "u").curves("success", baseline_curves.by_steps)
+    assert list(found) == ["ours, walking", "ours, oracle", "HIGL", "RAND-H"]
     assert found["ours, walking"][0][:, 1].tolist() == [0.4, 0.8]
     assert found["ours, oracle"][0][:, 1].tolist() == [0.5, 0.9]
     assert len(found["HIGL"]) == 2
 
 
 def test_runs_of_other_settings_and_those_not_yet_begun_are_no_seeds(folders):
-    read = baseline_curves._AXES["control steps"]
     folder = folders / "baselines"
     for name in ("higl-u-5-updates", "higl-u-anywhere-0"):
         (folder / name).mkdir()
         (folder / name / "metrics.csv").write_text(BASELINE)
     (folder / "higl-u-2").mkdir()
-    assert len(baseline_curves._lines(folder, "u", "success", read)["HIGL"]) == 2
+    found = task(folders, "u").curves("success", baseline_curves.by_steps)
+    assert len(found["HIGL"]) == 2
 
 
 def test_every_task_that_a_baseline_learned_has_its_pictures(folders):
@@ -146,7 +156,7 @@ def test_every_task_that_a_baseline_learned_has_its_pictures(folders):
     ]
 
 
-def test_one_reward_is_enough(folders):
+def test_one_reward_is_enough(folders, undrawn):
     for seed in (0, 1):
         (folders / "baselines" / f"droq-u-dense-{seed}" / "metrics.csv").unlink()
     section = baseline_curves.section(ours(folders), folders / "baselines", folders / "out")
@@ -166,7 +176,7 @@ HALF = BASELINE.partition("6000")[0]
     "text",
     ["", BASELINE.partition("2000")[0], BASELINE.partition("4000")[0], HALF, HALF + "6000,0."],
 )
-def test_runs_that_have_not_spent_the_budget_are_left_out(folders, text):
+def test_runs_that_have_not_spent_the_budget_are_left_out(folders, undrawn, text):
     for name in ("higl-u-2", "hess-u-0", "hess-g1-0"):
         run = folders / "baselines" / name
         run.mkdir()
@@ -181,10 +191,10 @@ def test_runs_that_have_not_spent_the_budget_are_left_out(folders, text):
 def test_what_was_reached_before_an_episode_ended_has_no_place_on_their_axis(tmp_path):
     file = tmp_path / "metrics.csv"
     file.write_text("step,episodes,eval/success\n4000,0.0,0.1\n8000,3.0,0.2\n")
-    assert baseline_curves._by_episodes(file, "eval/success").tolist() == [[3.0, 0.2]]
+    assert baseline_curves.by_episodes(file, "eval/success").tolist() == [[3.0, 0.2]]
 
 
-def test_a_table_that_is_none_is_named(folders):
+def test_a_table_that_is_none_is_named(folders, undrawn):
     file = folders / "baselines" / "higl-u-0" / "metrics.csv"
     file.write_bytes(bytes(range(128, 256)))
     with pytest.raises(base.UserError, match=r"higl-u-0.metrics\.csv can't be read"):

@@ -37,7 +37,7 @@ CELLS = [
 
 def test_a_row_holds_the_mean_over_high_levels_or_what_was_published():
     rows = [
-        comparison.Row("ours", comparison.select(CELLS, movement="oracle", robot="ant")),
+        comparison.Row("ours", comparison.select(CELLS, "oracle")),
         comparison.Row("paper", published={"g1": (72.0, 6.3), "g2": "≤ 1"}),
     ]
     table = comparison.success_by_maze("t", rows, ("g1", "g2", "g3"))
