@@ -1,13 +1,13 @@
-"""Baselines as systems that are evaluated beside ours: a decision of theirs is k steps long."""
+"""Baselines as environments of decisions, so that they are evaluated beside ours."""
 
 import dataclasses
 import json
-from typing import Any
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key, PyTree
 
 from eihrl_jax import base, mazes
 from eihrl_jax.baselines import interface
@@ -18,76 +18,78 @@ from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.runs import checkpoint, policies
 
 
-class BaselineWalk(struct.PyTreeNode):
+class BaselineMazeState(struct.PyTreeNode):
     """The state of an episode.
 
     Attributes:
       nav: where it stands, its `decisions` counted as ours are.
-      state: of the maze.
-      carry: what the baseline remembers.
+      state: of the maze, control step by control step.
+      carry: of the baseline.
     """
 
     nav: task.Navigation
-    state: base.EnvState
-    carry: Any
+    state: goal_maze.EnvState
+    carry: PyTree[Array]
+
+
+EnvState: TypeAlias = base.EnvState[BaselineMazeState, None]
 
 
 @dataclasses.dataclass(frozen=True)
 class BaselineMaze:
-    """A robot that a baseline walks; a decision is as many control steps as one of ours.
+    """A maze in which a baseline acts; a decision is as many control steps as one of ours.
 
     Attributes:
       env: the maze.
-      table: the same mazes with their time limits in decisions.
       baseline: what acts.
-      policy: its parameters.
+      policy: parameters of its networks by name.
     """
 
     env: goal_maze.GoalMaze
-    table: task.MazeTable
     baseline: interface.Baseline
-    policy: dict[str, Any]
+    policy: dict[str, base.Params]
 
-    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         return self._outer(self.env.reset(key, maze), self.baseline.start(), jnp.float32(0.0))
 
-    def trace(
-        self, state: base.EnvState, action: Int[Array, ""]
-    ) -> tuple[base.EnvState, hierarchy.Trace]:
-        """Walks on for as long as one of our subgoals takes; the action means nothing."""
+    def trace(self, state: EnvState, action: Int[Array, ""]) -> tuple[EnvState, hierarchy.Trace]:
+        """Lets the baseline act for as long as one of our subgoals takes; `action` is ignored."""
         del action
-        walk: BaselineWalk = state.inner
-        next_key, _ = jax.random.split(walk.state.key)  # Acting draws nothing.
 
         def advance(
-            loop: tuple[base.EnvState, Any], _: None
-        ) -> tuple[tuple[base.EnvState, Any], hierarchy.Trace]:
-            inner, carry = loop
-            is_running = ~(inner.terminated | inner.truncated)
-            ctrl, carry = self.baseline.act(self.policy, carry, inner.obs)
-            inner = self.env.step(inner, ctrl)
-            qpos = inner.inner.physics.qpos
-            is_fallen = body_lib.is_fallen(qpos, self.env.robot)
-            step = hierarchy.Trace(qpos=qpos, is_fallen=is_fallen, is_running=is_running)
-            return (inner, carry), step
+            loop: tuple[goal_maze.EnvState, PyTree[Array]], _: None
+        ) -> tuple[tuple[goal_maze.EnvState, PyTree[Array]], hierarchy.Trace]:
+            before, carry = loop
+            ctrl, carry = self.baseline.act(self.policy, carry, before.obs)
+            after = self.env.step(before, ctrl)
 
-        start = walk.state.replace(key=next_key), walk.carry
-        (inner, carry), trace = jax.lax.scan(
-            advance, start, length=self.env.robot.steps_per_subgoal
-        )
+            qpos = after.inner.physics.qpos
+            is_fallen = body_lib.is_fallen(qpos, self.env.robot)
+            step = hierarchy.Trace(qpos=qpos, is_fallen=is_fallen, is_running=~before.is_over)
+            return (after, carry), step
+
+        start = state.inner.state, state.inner.carry
+        num_steps = self.env.robot.steps_per_subgoal
+        (inner, carry), trace = jax.lax.scan(advance, start, length=num_steps)
         paid = inner.metrics["return"] - state.metrics["return"]
         return self._outer(inner, carry, paid), trace
 
-    def _outer(self, inner: base.EnvState, carry: Any, reward: Float[Array, ""]) -> base.EnvState:
-        decisions = inner.metrics["decisions"].astype(jnp.int32)
-        nav = inner.inner.nav.replace(decisions=decisions)
-        walk = BaselineWalk(nav=nav, state=inner, carry=carry)
-        return inner.replace(inner=walk, obs=None, final_obs=None, reward=reward)
+    def _outer(
+        self, state: goal_maze.EnvState, carry: PyTree[Array], reward: Float[Array, ""]
+    ) -> EnvState:
+        """Returns a state of the maze as one between two decisions."""
+        decisions = state.metrics["decisions"].astype(jnp.int32)
+        nav = state.inner.nav.replace(decisions=decisions)
+        inner = BaselineMazeState(nav=nav, state=state, carry=carry)
+        outcome = base.Outcome(reward, state.terminated, state.truncated)
+        return base.EnvState.of(
+            inner=inner, obs=None, outcome=outcome, metrics=state.metrics, key=state.key
+        )
 
 
 def is_baseline(name: str) -> bool:
-    """Tells whether a name or a folder is a trained baseline's."""
+    """Returns whether a name or a folder is a trained baseline's."""
     return policies.kind_of(name) == "baseline"
 
 
@@ -110,12 +112,14 @@ def load(
     method = policies.entry(meta, "method", path)
     if method not in presets.BASELINES:
         raise base.UserError(f"{path}: unknown method {method!r}")
+
     text = json.dumps(policies.entry(meta, "config", path), default=str)
     options = codec.from_json(type(presets.BASELINES[method]), text, source=str(path))
     env = goal_maze.GoalMaze(engine, stacked, reward=reward)
     width, height = policies.entry(meta, "side_xy", path)
     steps = int(env.table.mazes.num_decisions.max())
+    # Sizes of networks follow from the arena in which it was trained, not from these mazes.
     baseline = interface.make(env, engine.model.nu, (width, height), steps, options)
     expected = jax.eval_shape(lambda key: baseline.policy(baseline.init(key)), jax.random.key(0))
     checkpoint.check_same(path, policy, expected)
-    return BaselineMaze(env, task.prepare(stacked), baseline, policy)
+    return BaselineMaze(env, baseline, policy)

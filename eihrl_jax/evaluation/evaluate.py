@@ -1,8 +1,9 @@
 """Evaluates agents in mazes: loads them and runs the episodes; `reporting` writes and draws."""
 
 import dataclasses
+import functools
 import pathlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import evaluate as evaluate_config
@@ -18,7 +19,7 @@ NUM_RECORDED = 12
 
 @dataclasses.dataclass(frozen=True)
 class _Prepared:
-    """An agent that is ready to run."""
+    """An agent that is ready to run its episodes."""
 
     agent: results.Agent
     robot: robot_lib.Robot
@@ -108,34 +109,31 @@ def _load_mazes(options: evaluate_config.EvaluateConfig) -> dict[str, mazes.Maze
 def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> list[_Prepared]:
     """Loads all policies and builds all environments before anything runs."""
     stacked = mazes.stack(list(plan.mazes.values()))
-    peers = [name for name in options.high if baselines.is_baseline(name)]
-    if peers and "full" not in options.movement:
-        raise base.UserError(f"{peers[0]} is a baseline, which walks: it needs --movement full")
+    whole = [name for name in options.high if baselines.is_baseline(name)]
+    if whole and "full" not in options.movement:
+        raise base.UserError(f"{whole[0]} is a baseline, which walks: it needs --movement full")
     highs = [
-        loading.load_high(name, greedy=options.greedy) for name in options.high if name not in peers
+        loading.load_high(name, greedy=options.greedy) for name in options.high if name not in whole
     ]
+
     prepared = []
     for i, name in enumerate(options.robot):
         robot = robots.load(name)
-        for movement in options.movement:
+        for movement in options.movement if highs else ():  # a baseline brings its own
             low = None
             if movement == "full":
                 low = options.low[i] if options.low else name
-            # High levels that see the same share an environment; baselines need none.
-            views = dict.fromkeys(high.view for high in highs)
-            made = _envs(options, robot, low, stacked, views) if views else []
-            runners = {
-                view: rollouts.Runner(env, plan) for view, env in zip(views, made, strict=True)
-            }
+            envs = _envs(options, robot, low, stacked, [high.view for high in highs])
+            runners = {view: rollouts.Runner(env, plan) for view, env in envs.items()}
             for high in highs:
                 agent = results.Agent(robot=robot.name, movement=movement, high=high.label, low=low)
                 prepared.append(_Prepared(agent, robot, runners[high.view], high.policy))
-        prepared += [_prepare_peer(options, robot, peer, plan, stacked) for peer in peers]
+        prepared += [_prepare_baseline(options, robot, name, plan, stacked) for name in whole]
     _check_names([item.agent for item in prepared])
     return prepared
 
 
-def _prepare_peer(
+def _prepare_baseline(
     options: evaluate_config.EvaluateConfig,
     robot: robot_lib.Robot,
     name: str,
@@ -150,33 +148,39 @@ def _prepare_peer(
     return _Prepared(agent, robot, rollouts.Runner(env, plan), uniform.policy)
 
 
-def _check_names(agents: Sequence[results.Agent]) -> None:
-    """Makes sure that no agent's files take the place of another's."""
-    names: set[str] = set()
-    for agent in agents:
-        name = agent.file_name
-        if name in names:
-            raise base.UserError(
-                f"high: files of two agents would have the same name, {name}, of {agent.high!r} "
-                "and another; evaluate them one by one"
-            )
-        names.add(name)
-
-
 def _envs(
     options: evaluate_config.EvaluateConfig,
     robot: robot_lib.Robot,
     low: str | None,
     stacked: mazes.Maze,
-    views: Iterable[raster.View],
-) -> list[rollouts.Recordable]:
-    """Builds one robot's environment for each view: walking with `low`, or moved by the oracle."""
+    views: Sequence[raster.View],
+) -> dict[raster.View, rollouts.Recordable]:
+    """Builds one environment for each view, which high levels with that view share.
+
+    Its robot is driven by the low level `low`, or moved by the oracle where that is None.
+    """
     reward = options.reward
     if low is None:
         gait = subgoals.gait(robot, options.measured, options.step, options.sigma)
-        return [
-            loading.oracle_env(robot, stacked, view, gait=gait, reward=reward) for view in views
-        ]
-    low_policy = loading.load_low(low, robot)
-    engine = engines.make(robot, options.engine)
-    return [loading.full_env(engine, stacked, view, low_policy, reward=reward) for view in views]
+        make = functools.partial(loading.oracle_env, robot, stacked, gait=gait, reward=reward)
+    else:
+        engine, low_policy = engines.make(robot, options.engine), loading.load_low(low, robot)
+        make = functools.partial(
+            loading.full_env, engine, stacked, low_policy=low_policy, reward=reward
+        )
+    return {view: make(view) for view in dict.fromkeys(views)}
+
+
+def _check_names(agents: Sequence[results.Agent]) -> None:
+    """Makes sure that no agent's files take the place of another's.
+
+    Raises:
+      base.UserError: two agents would have the same name in the files.
+    """
+    names = [agent.file_name for agent in agents]
+    for i, (name, agent) in enumerate(zip(names, agents, strict=True)):
+        if name in names[:i]:
+            raise base.UserError(
+                f"high: files of two agents would have the same name, {name}, of {agent.high!r} "
+                "and another; evaluate them one by one"
+            )

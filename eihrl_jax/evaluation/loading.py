@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +35,7 @@ class HighLevel:
     """A high level that is ready to choose.
 
     Attributes:
-      label: what tables call it.
+      label: its name in tables.
       policy: from what it sees and a key to a direction.
       view: what it has to see.
     """
@@ -48,7 +47,7 @@ class HighLevel:
 
 @dataclasses.dataclass(frozen=True)
 class RecordableOracle:
-    """Oracle movement, which tells a straight way and the posture that it shows at its end.
+    """Oracle movement that also returns a way: straight, in the posture that is shown at its end.
 
     Attributes:
       env: the environment.
@@ -58,26 +57,26 @@ class RecordableOracle:
     env: oracle_maze.OracleMaze
     qpos: Float[Array, "N nq"]
 
-    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:
+    def reset(
+        self, key: Key[Array, ""], maze: Int[Array, ""] | None = None
+    ) -> oracle_maze.EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
         return self.env.reset(key, maze)
 
     def trace(
-        self, state: base.EnvState, action: Int[Array, ""]
-    ) -> tuple[base.EnvState, hierarchy.Trace]:
+        self, state: oracle_maze.EnvState, action: Int[Array, ""]
+    ) -> tuple[oracle_maze.EnvState, hierarchy.Trace]:
         """Follows a direction for one subgoal."""
         following = self.env.step(state, action)
         num = self.env.movement.num_substeps
+
         share = jnp.linspace(0.0, 1.0, num + 1)[1:, None]
-        start_xy, end_xy = state.inner.xy[None], following.inner.xy[None]
+        way_xy = (1.0 - share) * state.inner.xy[None] + share * following.inner.xy[None]
         posture = self.qpos[following.inner.posture]
-        qpos = jnp.repeat(posture[None], num, axis=0)
-        qpos = qpos.at[:, :2].set((1.0 - share) * start_xy + share * end_xy)
-        is_running = ~(state.terminated | state.truncated)
         return following, hierarchy.Trace(
-            qpos=qpos,
+            qpos=jnp.repeat(posture[None], num, axis=0).at[:, :2].set(way_xy),
             is_fallen=jnp.zeros(num, bool),
-            is_running=jnp.repeat(is_running, num),
+            is_running=jnp.repeat(~state.is_over, num),
         )
 
 
@@ -94,6 +93,7 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
     if name in evaluate_config.UNIFORM_NAMES:
         policy = jax.tree_util.Partial(_uniform_direction)
         return HighLevel(evaluate_config.UNIFORM, policy, raster.View())
+
     path = policies.find(name, "high")
     params, meta = policies.load(path, kind="high")
     view = raster.View(**policies.entry(meta, "view", path))
@@ -101,13 +101,14 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
     network = actor_critic.make(codec.from_json(high_config.Network, sizes, source=str(path)))
     obs = jnp.zeros(view.obs_shape, bool)
     checkpoint.check_same(path, params, jax.eval_shape(network.init, jax.random.key(0), obs))
+    # A pytree of the parameters: policies that differ in them alone share what is compiled.
     policy = jax.tree_util.Partial(_Learned(network, greedy), params)
     return HighLevel(name, policy, view)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Learned:
-    """Chooses as a network does; equal where networks are, whatever their parameters.
+    """Chooses as a network does; two are equal where their networks are, whatever the parameters.
 
     Attributes:
       network: the actor-critic.
@@ -117,7 +118,9 @@ class _Learned:
     network: nn.Module
     greedy: bool
 
-    def __call__(self, params: Any, obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
+    def __call__(
+        self, params: base.Params, obs: raster.Picture, key: Key[Array, ""]
+    ) -> Int[Array, ""]:
         if self.greedy:
             return peg_a2c.mode(self.network, params, obs)
         return peg_a2c.sample(self.network, params, obs, key)
@@ -136,13 +139,11 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
     path = policies.find(name, "low")
     params, meta = policies.load(path, kind="low", robot=robot.name)
     options = low_config.LowInput(**policies.entry(meta, "low_input", path))
-    actor = droq.Actor(
-        policies.entry(meta, "num_actions", path), tuple(policies.entry(meta, "hidden", path))
-    )
+    num_actions, hidden = (policies.entry(meta, name, path) for name in ("num_actions", "hidden"))
+    actor = droq.Actor(num_actions, tuple(hidden))
     features = jnp.zeros((1, policies.entry(meta, "num_features", path)))
-    checkpoint.check_same(
-        path, params, jax.eval_shape(actor.init, jax.random.key(0), features)["params"]
-    )
+    expected = jax.eval_shape(actor.init, jax.random.key(0), features)["params"]
+    checkpoint.check_same(path, params, expected)
 
     def policy(obs: low_obs.LowObs, key: Key[Array, ""]) -> Float[Array, " nu"]:
         del key
@@ -191,12 +192,12 @@ def full_env(
     *,
     reward: base.Reward = "sparse",
 ) -> hierarchy.Hierarchy:
-    """Returns a walking robot in several mazes, driven by its low level."""
+    """Returns the full hierarchy in several mazes: a robot with physics and its low level."""
     env = physics_maze.PhysicsMaze(engine, stacked, view=view, reward=reward)
     return hierarchy.Hierarchy(env, low_policy)
 
 
-def _uniform_direction(obs: Any, key: Key[Array, ""]) -> Int[Array, ""]:
-    """Chooses any direction, whatever it sees."""
+def _uniform_direction(obs: raster.Picture | None, key: Key[Array, ""]) -> Int[Array, ""]:
+    """Chooses any direction, whatever it sees (the paper's RAND-H)."""
     del obs
     return jax.random.randint(key, (), 0, base.NUM_DIRECTIONS)

@@ -2,14 +2,13 @@
 
 import dataclasses
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.special
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
@@ -28,10 +27,17 @@ NUM_ROOMS = 256
 _ROOM_SEED = 2**32
 """Added to the seed: rooms that no training, whose seeds are below, has drawn."""
 
-_TOLD = ("switched", "along", "lateral", "fell", "broke_down")
+_KEPT = ("switched", "along", "lateral", "fell", "broke_down")
+"""Metrics of `locomotion.Locomotion` that `Steps` holds."""
+
+_DISPLACEMENT = (
+    *("along_mean", "along_std", "lateral_mean", "lateral_std", "correlation"),
+    *("along_distance", "lateral_distance"),
+)
+"""Fields of `subgoals.Statistics` about where subgoals end."""
 
 
-class Begun(struct.PyTreeNode):
+class SubgoalStart(struct.PyTreeNode):
     """How things were when a subgoal was given.
 
     Attributes:
@@ -48,7 +54,7 @@ class Steps(struct.PyTreeNode):
 
     Attributes:
       direction: int32, the subgoal that was followed.
-      begun: how things were when it was given.
+      start: how things were when it was given.
       switched: float32, 1 where it ended with this step.
       along: float32, displacement along it when it ended, units.
       lateral: float32, displacement to its left when it ended, units.
@@ -60,7 +66,7 @@ class Steps(struct.PyTreeNode):
     """
 
     direction: Int[Array, "T N"]
-    begun: Begun
+    start: SubgoalStart
     switched: Float[Array, "T N"]
     along: Float[Array, "T N"]
     lateral: Float[Array, "T N"]
@@ -115,14 +121,14 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
                 episode_steps=SUBGOALS_PER_EPISODE * robot.steps_per_subgoal,
                 ends_at_fall=False,
             )
-            measured[name] = jax.device_get(_walk(env, policy, options, index))
+            measured[name] = jax.device_get(_follow(env, policy, options, index))
             bar.update(index + 1, {})
 
     statistics = {name: summarise(steps, robot, options.sigma) for name, steps in measured.items()}
     return Measurement(robot, statistics, measured[subgoals.OPEN])
 
 
-def _walk(
+def _follow(
     env: locomotion.Locomotion,
     policy: hierarchy.LowPolicy,
     options: measure_config.MeasureConfig,
@@ -134,44 +140,48 @@ def _walk(
     resetting = wrappers.AutoReset(env)
     reset_key, act_key = jax.random.split(jax.random.fold_in(jax.random.key(options.seed), stream))
 
-    @jax.jit
-    def walk(key: Any) -> Steps:
-        envs = jax.vmap(resetting.reset)(jax.random.split(key, options.num_envs))
-        nothing = jnp.zeros(options.num_envs, bool)
-        begun = Begun(is_upright=nothing, is_clear=nothing)
-        return jax.lax.scan(jax.vmap(advance), (envs, begun), length=num_steps)[1]
-
-    def advance(carry: tuple[base.EnvState, Begun], _: None) -> tuple[Any, Steps]:
-        state, begun = carry
-        before: locomotion.LocomotionState = state.inner
+    def advance(
+        carry: tuple[locomotion.EnvState, SubgoalStart], _: None
+    ) -> tuple[tuple[locomotion.EnvState, SubgoalStart], Steps]:
+        state, start = carry
+        before = state.inner
         was_down = body_lib.is_fallen(before.physics.qpos, env.robot)
-        now = Begun(is_upright=~was_down, is_clear=_is_clear(env, before))
-        is_first = before.step % k == 0
-        begun = tree.where(is_first, now, begun)
+        now = SubgoalStart(is_upright=~was_down, is_clear=_is_clear(env, before))
+        start = tree.where(before.step % k == 0, now, start)
+
         after = resetting.step(state, policy(state.obs, act_key))
-        told = {name: after.metrics[name] for name in _TOLD}
         steps = Steps(
             direction=before.direction,
-            begun=begun,
+            start=start,
             was_down=was_down,
-            ended=after.terminated | after.truncated,
+            ended=after.is_over,
             qpos=before.physics.qpos,
-            **told,
+            **{name: after.metrics[name] for name in _KEPT},
         )
-        return (after, begun), steps
+        return (after, start), steps
 
-    return walk(reset_key)
+    @jax.jit
+    def follow(keys: Key[Array, " N"]) -> Steps:
+        states = jax.vmap(resetting.reset)(keys)
+        # Never read: an episode's first step begins a subgoal.
+        nothing = jnp.zeros(options.num_envs, bool)
+        start = SubgoalStart(is_upright=nothing, is_clear=nothing)
+        return jax.lax.scan(jax.vmap(advance), (states, start), length=num_steps)[1]
+
+    return follow(jax.random.split(reset_key, options.num_envs))
 
 
-def _is_clear(env: locomotion.Locomotion, walk: locomotion.LocomotionState) -> Bool[Array, ""]:
-    """Tells whether a robot that goes one cell from here could touch no wall."""
-    room, reach = env.room(walk.room), env.robot.reach
+def _is_clear(env: locomotion.Locomotion, state: locomotion.LocomotionState) -> Bool[Array, ""]:
+    """Returns whether a robot that goes one cell from here could touch no wall."""
+    room, reach = env.room(state.room), env.robot.reach
+
+    # Points of the way, closer to each other than a wall is wide.
     ahead = jnp.linspace(-reach, base.CELL + reach, 5)
     aside = jnp.array([-reach, 0.0, reach])
     grid = jnp.stack(jnp.meshgrid(ahead, aside), -1).reshape(-1, 2)
-    turned = jax.vmap(rotations.to_world_frame, in_axes=(0, None))(grid, walk.direction)
+    way = jax.vmap(rotations.to_world_frame, in_axes=(0, None))(grid, state.direction)
     is_wall = jax.vmap(maze_lib.is_wall, in_axes=(None, 0))
-    return ~is_wall(room, walk.physics.qpos[None, :2] + turned).any()
+    return ~is_wall(room, state.physics.qpos[None, :2] + way).any()
 
 
 def end_points(steps: Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
@@ -179,11 +189,12 @@ def end_points(steps: Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
     counts = _counts(steps)
     along_lateral = np.stack([steps.along[counts], steps.lateral[counts]], -1)
     direction = np.asarray(steps.direction)[counts]
-    found = {}
+
+    ends = {}
     for index, (x, y) in enumerate(base.DIRECTIONS_XY):
         to_world = np.array([[x, y], [-y, x]])  # rows: where `along` and `lateral` point
-        found[index] = along_lateral[direction == index] @ to_world
-    return found
+        ends[index] = along_lateral[direction == index] @ to_world
+    return ends
 
 
 def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.Statistics:
@@ -199,37 +210,37 @@ def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.St
     """
     counts = _counts(steps)
     along, lateral = np.asarray(steps.along)[counts], np.asarray(steps.lateral)[counts]
-    ended = (steps.switched > 0) & steps.begun.is_upright
-    begun = ((steps.switched > 0) | (steps.broke_down > 0)) & steps.begun.is_upright
+
+    # A subgoal during which the simulation breaks down has begun, but doesn't end.
+    completed = (steps.switched > 0) & steps.start.is_upright
+    begun = ((steps.switched > 0) | (steps.broke_down > 0)) & steps.start.is_upright
     num_begun = max(int(begun.sum()), 1)
+
     times = recovery_times(steps, robot.steps_per_subgoal)
-    stood_again = times[np.isfinite(times)]
-    is_known = len(along) > 1
+    finite = times[np.isfinite(times)]
     return subgoals.Statistics(
         num_subgoals=int(begun.sum()),
-        blocked=float(1.0 - counts.sum() / max(ended.sum(), 1)),
-        along_mean=float(along.mean()) if is_known else math.nan,
-        along_std=float(along.std()) if is_known else math.nan,
-        lateral_mean=float(lateral.mean()) if is_known else math.nan,
-        lateral_std=float(lateral.std()) if is_known else math.nan,
-        correlation=_correlation(along, lateral) if is_known else math.nan,
-        along_distance=wasserstein(along - base.CELL, sigma) if is_known else math.nan,
-        lateral_distance=wasserstein(lateral, sigma) if is_known else math.nan,
+        blocked=float(1.0 - counts.sum() / max(completed.sum(), 1)),
+        **_displacement(along, lateral, sigma),
         falls=1000.0 * float((steps.fell > 0).sum()) / num_begun,
         recovered=float(np.isfinite(times).mean()) if len(times) else math.nan,
-        recovery_seconds=(
-            float(np.median(stood_again)) * robot.control_step if len(stood_again) else math.nan
-        ),
+        recovery_seconds=float(np.median(finite)) * robot.control_step if len(finite) else math.nan,
         breakdowns=1000.0 * float(steps.broke_down.sum()) / num_begun,
     )
 
 
-def _correlation(one: Float[np.ndarray, " S"], other: Float[np.ndarray, " S"]) -> float:
-    """Returns Pearson's correlation, NaN where one of the two never changes."""
-    scale = one.std() * other.std()
-    return (
-        float(np.mean((one - one.mean()) * (other - other.mean())) / scale) if scale else math.nan
-    )
+def _displacement(
+    along: Float[np.ndarray, " S"], lateral: Float[np.ndarray, " S"], sigma: float
+) -> dict[str, float]:
+    """Returns the statistics in `_DISPLACEMENT`, NaN below two subgoals."""
+    if len(along) < 2:
+        return dict.fromkeys(_DISPLACEMENT, math.nan)
+    with np.errstate(invalid="ignore"):  # NaN where one of the two never changes
+        correlation = np.corrcoef(along, lateral)[0, 1]
+    distances = wasserstein(along - base.CELL, sigma), wasserstein(lateral, sigma)
+    moments = along.mean(), along.std(), lateral.mean(), lateral.std()
+    values = map(float, (*moments, correlation, *distances))
+    return dict(zip(_DISPLACEMENT, values, strict=True))
 
 
 def recovery_times(steps: Steps, min_steps: int) -> Float[np.ndarray, " F"]:
@@ -243,7 +254,7 @@ def recovery_times(steps: Steps, min_steps: int) -> Float[np.ndarray, " F"]:
     times = []
     for t, robot in np.argwhere(steps.fell > 0):
         ended = np.flatnonzero(steps.ended[t:, robot])
-        end = t + (ended[0] if len(ended) else len(steps.ended) - 1 - t)
+        end = t + ended[0] if len(ended) else len(steps.ended) - 1
         upright = np.flatnonzero(~steps.was_down[t + 1 : end + 1, robot])
         if len(upright):
             times.append(float(upright[0] + 1))
@@ -266,12 +277,9 @@ def wasserstein(values: Float[np.ndarray, " S"], sigma: float) -> float:
 
 
 def _counts(steps: Steps) -> Bool[np.ndarray, "T N"]:
-    """Tells which steps end a subgoal that was begun upright with no wall in the way."""
-    return (
-        (np.asarray(steps.switched) > 0)
-        & np.asarray(steps.begun.is_upright)
-        & np.asarray(steps.begun.is_clear)
-    )
+    """Returns which steps end a subgoal that was begun upright with no wall in the way."""
+    is_upright, is_clear = np.asarray(steps.start.is_upright), np.asarray(steps.start.is_clear)
+    return (np.asarray(steps.switched) > 0) & is_upright & is_clear
 
 
 def upright_postures(steps: Steps, robot: robot_lib.Robot, num: int) -> Float[Array, "num nq"]:

@@ -9,7 +9,7 @@ import functools
 import math
 import zlib
 from collections.abc import Callable, Hashable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 
 from eihrl_jax import base, mazes
-from eihrl_jax.envs import hierarchy
+from eihrl_jax.envs import hierarchy, raster
 from eihrl_jax.evaluation import recording as recording_lib
 from eihrl_jax.evaluation import results
 from eihrl_jax.mazes import maze as maze_lib
@@ -31,7 +31,7 @@ MAX_ROWS = 1024
 BINS_PER_CELL = 6
 """Bins along a cell's side, in which visits are counted."""
 
-HighPolicy = Callable[[Bool[Array, "P P C"] | None, Key[Array, ""]], Int[Array, ""]]
+HighPolicy: TypeAlias = Callable[[raster.Picture | None, Key[Array, ""]], Int[Array, ""]]
 """From the patch and a key to a direction; a pytree (`jax.tree_util.Partial`) of its parameters."""
 
 
@@ -169,9 +169,10 @@ class Runner:
         spent, success = np.zeros(len(rows), int), np.zeros(len(rows))
 
         def report(here: slice, state: base.EnvState) -> None:
+            # An episode that is over has spent all its decisions: so the bar ends at its end.
             num = len(rows[here])
             decisions = np.asarray(state.inner.nav.decisions)[:num]
-            spent[here] = np.where(_is_over(state)[:num], limits[here], decisions)
+            spent[here] = np.where(np.asarray(state.is_over)[:num], limits[here], decisions)
             success[here] = np.asarray(state.metrics["success"])[:num]
             progress.update(int(spent.sum()), {"success": success[: here.stop].mean()})
 
@@ -223,7 +224,7 @@ class Runner:
         ) -> tuple[base.EnvState, Bool[Array, "rows columns"], Decision]:
             action = high_policy(state.obs, jax.random.fold_in(key, t))
             following, trace = self._env.trace(state, action)
-            kept = tree.where(state.terminated | state.truncated, state, following)
+            kept = tree.where(state.is_over, state, following)
             decision = Decision(obs=state.obs, action=action, trace=trace)
             return kept, _mark(was_there, trace), decision
 
@@ -239,12 +240,10 @@ class Runner:
         """Runs episodes to their ends."""
         state, was_there, keys, recorded = self._begin(rows)
         history: list[Decision] = []
-        is_over = False
-        while not is_over:
+        while not state.is_over.all():
             t = jnp.int32(len(history))
             state, was_there, decision = decide(state, was_there, keys, recorded, t)
             history.append(jax.device_get(decision))
-            is_over = bool(_is_over(state).all())
             report(state)
         return self._finish(rows, state, was_there, history)
 
@@ -314,11 +313,6 @@ class Runner:
                 recordings=[each for batch in batches for each in batch.recordings[index]],
             )
         return rollouts
-
-
-def _is_over(state: base.EnvState) -> Bool[np.ndarray, " E"]:
-    """Returns which episodes are over."""
-    return np.asarray(state.terminated) | np.asarray(state.truncated)
 
 
 def _streams(

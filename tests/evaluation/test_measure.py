@@ -22,7 +22,7 @@ def _steps(num_steps, num_robots=1, **given):
     no, zero = np.zeros(shape, bool), np.zeros(shape, np.float32)
     fields = {
         "direction": np.zeros(shape, np.int32),
-        "begun": measure.Begun(is_upright=~no, is_clear=~no),
+        "start": measure.SubgoalStart(is_upright=~no, is_clear=~no),
         "switched": zero + (np.arange(num_steps) % 2 == 1)[:, None],
         "along": zero,
         "lateral": zero,
@@ -47,7 +47,7 @@ def test_moments_are_those_of_clear_subgoals_begun_upright():
             8,
             along=_column(0, 2.0, 0, 4.0, 0, 9.0, 0, 9.0),
             lateral=_column(0, 0.5, 0, -0.1, 0, 9.0, 0, 9.0),
-            begun=measure.Begun(is_upright=is_upright, is_clear=is_clear),
+            start=measure.SubgoalStart(is_upright=is_upright, is_clear=is_clear),
         ),
         ANT,
         sigma=0.3,
