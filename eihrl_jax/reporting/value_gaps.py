@@ -10,7 +10,7 @@ from eihrl_jax.config import value_gap as gap_config
 from eihrl_jax.drawing import curves, palette
 from eihrl_jax.evaluation import value_gap as gap_lib
 from eihrl_jax.runs import folders, versions
-from eihrl_jax.theory import bounds, displacement
+from eihrl_jax.theory import displacement, gaussians
 
 
 def compare(options: gap_config.ValueGapConfig) -> list[gap_lib.Gap]:
@@ -60,7 +60,7 @@ def _draw(options: gap_config.ValueGapConfig, gaps: list[gap_lib.Gap]) -> None:
 
     limit = max(int(mazes.load(name).num_decisions) for name in options.mazes)
     sigmas = np.linspace(0.01, max(1.0, 2 * options.reference), 991)
-    rate = bounds.gaussian_scale_total_variation(sigmas, options.reference)
+    rate = gaussians.scale_total_variation(sigmas, options.reference)
     bound = 100.0 * displacement.success_gap_bound(rate, limit)
     axes.plot(sigmas, bound, color=palette.INK, label=f"bound, {limit} decisions")
 

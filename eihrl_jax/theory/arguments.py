@@ -1,130 +1,150 @@
-"""Checks of the theory's arguments, numbers or arrays; each names argument, value and limit.
+"""The theory's arguments, checked against the annotations of a function; messages name them.
 
-What JAX traces has no value yet and is not checked.
+    @arguments.checked
+    def bound(total_variation: Shares, k: Counts, gamma: Discounts) -> Floats:
+        return total_variation / (1.0 - gamma**k)
+
+Numbers, lists and arrays reach the formula as NumPy arrays, real ones in float64.
 """
 
+import functools
+import inspect
 import operator
-from types import ModuleType
-from typing import Any
+import typing
+from collections.abc import Callable
+from typing import Annotated, Any, Literal, ParamSpec, TypeAlias, TypeVar
 
-import jax
-import jax.core
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy import special as jax_special
-from scipy import special as scipy_special
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
-Numbers = Any
-"""Numbers or arrays that broadcast: NumPy's are computed in float64, JAX's in their own type."""
+from eihrl_jax.config import checks
+from eihrl_jax.config.limits import Range
 
-REAL_TYPES = (jnp.floating, jnp.integer, jnp.bool_)
+Inputs = ParamSpec("Inputs")
+ResultT = TypeVar("ResultT")
+
+Floats: TypeAlias = Float[np.ndarray, "..."] | float
+"""Numbers in float64, or arrays of them, which broadcast."""
+
+Integers: TypeAlias = Int[np.ndarray, "..."] | int
+
+Shares = Annotated[Floats, Range(0.0, 1.0)]
+L1Norms = Annotated[Floats, Range(0.0, 2.0)]
+Discounts = Annotated[Floats, Range(0.0, below=1.0)]
+NonNegatives = Annotated[Floats, Range(0.0)]
+Positives = Annotated[Floats, Range(above=0.0)]
+Counts = Annotated[Integers, Range(1.0)]
+
+# What isn't an array: the name stands for one number.
+Share = Annotated[float, Range(0.0, 1.0)]
+Discount = Annotated[float, Range(0.0, below=1.0)]
+Real = Annotated[float, Range()]
+Positive = Annotated[float, Range(above=0.0)]
+Correlation = Annotated[float, Range(above=-1.0, below=1.0)]
+Count = Annotated[int, Range(1)]
 
 
-def namespace(*values: Any) -> ModuleType:
-    """Returns `jax.numpy` if anything is JAX's, else `numpy`."""
-    return jnp if any(isinstance(value, jax.Array) for value in values) else np
+def checked(function: Callable[Inputs, ResultT]) -> Callable[Inputs, ResultT]:
+    """Makes a function convert its arguments, and check them, as their annotations say.
+
+    What may be None, or has no limits, is passed on as it is.
+    """
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*args: Inputs.args, **kwargs: Inputs.kwargs) -> ResultT:
+        given = signature.bind(*args, **kwargs)
+        for name, value in given.arguments.items():
+            hint = signature.parameters[name].annotation
+            given.arguments[name] = _converted(name, value, hint)
+        return function(*given.args, **given.kwargs)
+
+    return call
 
 
-def special(*values: Any) -> Any:
-    """Returns the special functions that go with `namespace`."""
-    return jax_special if namespace(*values) is jnp else scipy_special
-
-
-def real(
-    name: str, value: Any, low: float = 0.0, high: float = np.inf, *, below: float = np.inf
-) -> Any:
-    """Returns numbers as floats after checking that they are finite and inside their limits.
+def real(name: str, value: object, inside: Range) -> Float[np.ndarray, "..."]:
+    """Returns numbers in float64 after checking that they are finite and inside their limits.
 
     Args:
       name: of the argument.
-      value: number or array.
-      low: smallest allowed.
-      high: greatest allowed.
-      below: open limit.
+      value: number, list or array.
+      inside: the limits.
 
     Raises:
       TypeError: they aren't real numbers.
       ValueError: one is outside.
 
-    >>> real("gamma", 1.5, below=1.0)
+    >>> real("gamma", 1.5, Range(0.0, below=1.0))
     Traceback (most recent call last):
     ...
-    ValueError: gamma = 1.5 must be at least 0.0 and smaller than 1.0
+    eihrl_jax.base.UserError: gamma = 1.5 must be at least 0.0 and smaller than 1.0
     """
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        numbers: Any = float(value)  # stays weakly typed beside JAX's arrays
-    elif isinstance(value, jax.Array):
-        if not any(jnp.issubdtype(value.dtype, kind) for kind in REAL_TYPES):
-            raise TypeError(f"{name} = {value!r} must be a real number or an array of them")
-        numbers = value if jnp.issubdtype(value.dtype, jnp.floating) else value.astype(float)
-    else:
-        numbers = np.asarray(value)
-        if not np.isrealobj(numbers) or numbers.dtype.kind not in "fiub":
-            raise TypeError(f"{name} = {value!r} must be a real number or an array of them")
-        numbers = numbers.astype(np.float64)
-    if isinstance(numbers, jax.core.Tracer):
-        return numbers
-    found = np.asarray(numbers)
-    is_inside = np.isfinite(found) & (found >= low) & (found <= high) & (found < below)
-    if not is_inside.all():
-        wanted = [f"at least {low}"] if np.isfinite(low) else ["finite"]
-        wanted += [f"at most {high}"] if np.isfinite(high) else []
-        wanted += [f"smaller than {below}"] if np.isfinite(below) else []
-        worst = found[~is_inside].flat[0]
-        raise ValueError(f"{name} = {worst} must be {' and '.join(wanted)}")
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "fiub":
+        raise TypeError(f"{name} = {value!r} must be a real number or an array of them")
+    numbers = numbers.astype(np.float64)
+    _check(name, numbers, inside)
     return numbers
 
 
-def positive(name: str, value: Any) -> Any:
-    """Returns numbers as floats after checking that they are finite and greater than 0.
+def count(name: str, value: object, inside: Range) -> Int[np.ndarray, "..."]:
+    """Returns integers after checking that they are inside their limits, see `real`.
 
-    Raises:
-      TypeError: they aren't real numbers.
-      ValueError: one isn't positive.
-    """
-    numbers = real(name, value, -np.inf)
-    if not isinstance(numbers, jax.core.Tracer) and not (np.asarray(numbers) > 0.0).all():
-        raise ValueError(f"{name} = {np.asarray(numbers).min()} must be greater than 0")
-    return numbers
-
-
-def count(name: str, value: Any) -> Any:
-    """Returns integers, at least 1, as floats.
-
-    Raises:
-      TypeError: they aren't of an integer type.
-      ValueError: one is below 1.
-
-    >>> count("k", 2.5)
+    >>> count("k", 2.5, Range(1.0))
     Traceback (most recent call last):
     ...
     TypeError: k = 2.5 must be an integer or an array of integers
     """
-    kind = value.dtype.kind if hasattr(value, "dtype") else np.asarray(value).dtype.kind
-    if kind not in "iu":
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "iu":
         raise TypeError(f"{name} = {value!r} must be an integer or an array of integers")
-    return real(name, value, 1.0)
+    _check(name, numbers.astype(np.float64), inside)
+    return numbers
 
 
-def scalar_count(name: str, value: Any) -> int:
-    """Returns one integer, at least 1.
+def scalar(name: str, value: object, inside: Range) -> float:
+    """Returns one number in float64 after checking it, see `real`."""
+    return float(real(name, value, inside))
 
-    Raises:
-      TypeError: it isn't one integer.
-      ValueError: it is below 1.
-    """
+
+def scalar_count(name: str, value: Any, inside: Range) -> int:
+    """Returns one integer after checking that it is one and inside its limits, see `real`."""
     try:
         number = operator.index(value)
     except TypeError:
         raise TypeError(f"{name} = {value!r} must be an integer") from None
     if isinstance(value, bool):
         raise TypeError(f"{name} = {value!r} must be an integer")
-    if number < 1:
-        raise ValueError(f"{name} = {number} must be at least 1")
+    inside.check(name, number)
     return number
 
 
-def probabilities(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+_CONVERT = {Floats: real, Integers: count, float: scalar, int: scalar_count}
+"""What turns a name, a value and its limits into the checked value, by the annotated type."""
+
+
+def _converted(name: str, value: Any, hint: Any) -> Any:
+    """Returns a value as its type hint wants it; that of an optional one is part of a union."""
+    if typing.get_origin(hint) is Literal:
+        checks.one_of(name, value, typing.get_args(hint))
+    if value is None and type(None) in typing.get_args(hint):
+        return None
+    for kind in (hint, *typing.get_args(hint)):
+        if typing.get_origin(kind) is Annotated:
+            wanted, inside = typing.get_args(kind)
+            return _CONVERT[wanted](name, value, inside)
+    return value
+
+
+def _check(name: str, numbers: Float[np.ndarray, "..."], inside: Range) -> None:
+    """Checks the extremes, which stand for all: limits are intervals, and a nan is both."""
+    if numbers.size:
+        inside.check(name, numbers.min())
+        inside.check(name, numbers.max())
+
+
+def probabilities(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> np.ndarray:
     """Returns an array whose last axis holds probabilities, in float64 and summing to 1 exactly.
 
     Args:
@@ -138,14 +158,16 @@ def probabilities(name: str, value: Any, shape: tuple[int | None, ...]) -> np.nd
     array = table(name, value, shape)
     if (array < 0.0).any():
         raise ValueError(f"{name} = {array.min()} must be at least 0: it holds probabilities")
+
     sums = array.sum(-1, keepdims=True)
-    if not (np.abs(sums - 1.0) <= 1e-6).all():
-        worst = sums.flat[np.abs(sums - 1.0).argmax()]
+    error = np.abs(sums - 1.0)
+    if not (error <= 1e-6).all():
+        worst = sums.flat[error.argmax()]
         raise ValueError(f"{name}: a row sums to {worst}, and must sum to 1 within 1e-6")
     return array / sums
 
 
-def transition(value: Any) -> np.ndarray:
+def transition(value: ArrayLike) -> np.ndarray:
     """Returns the transition probabilities [..., S, A, S] of MDPs, see `probabilities`.
 
     Raises:
@@ -159,7 +181,7 @@ def transition(value: Any) -> np.ndarray:
     return array
 
 
-def table(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+def table(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> np.ndarray:
     """Returns finite float64 numbers whose last axes have the sizes `shape`, None for any.
 
     Raises:
@@ -167,10 +189,10 @@ def table(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
     """
     array = np.asarray(value, np.float64)
     last = array.shape[max(array.ndim - len(shape), 0) :]
-    is_fitting = len(last) == len(shape) and all(
-        size is None or size == found for size, found in zip(shape, last, strict=True)
+    fits = len(last) == len(shape) and all(
+        wanted is None or wanted == size for wanted, size in zip(shape, last, strict=True)
     )
-    if not is_fitting:
+    if not fits:
         wanted = ", ".join("any" if size is None else str(size) for size in shape)
         raise ValueError(f"{name} has shape {array.shape}, expected (..., {wanted})")
     if not np.isfinite(array).all():

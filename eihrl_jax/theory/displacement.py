@@ -8,12 +8,12 @@ displacements. docs/theory.md says what that assumes of a walking robot.
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from eihrl_jax.theory import arguments
+from eihrl_jax.theory.arguments import Correlation, Counts, Floats, Positive, Real, Shares
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -29,13 +29,14 @@ class Displacement:
     covariance: Float[np.ndarray, "2 2"]
 
     @classmethod
+    @arguments.checked
     def of(
         cls,
-        along_mean: float,
-        along_std: float,
-        lateral_mean: float = 0.0,
-        lateral_std: float | None = None,
-        correlation: float = 0.0,
+        along_mean: Real,
+        along_std: Positive,
+        lateral_mean: Real = 0.0,
+        lateral_std: Positive | None = None,
+        correlation: Correlation = 0.0,
     ) -> "Displacement":
         """Makes the law from the statistics that `measure_low` writes, all in units.
 
@@ -49,16 +50,11 @@ class Displacement:
         Raises:
           ValueError: an argument is out of its range.
         """
-        along_std = float(arguments.positive("along_std", along_std))
         lateral_std = along_std if lateral_std is None else lateral_std
-        lateral_std = float(arguments.positive("lateral_std", lateral_std))
-        if not -1.0 < correlation < 1.0:
-            raise ValueError(f"correlation = {correlation} must be greater than -1, smaller than 1")
-        mean = [arguments.real("along_mean", along_mean, -np.inf)]
-        mean += [arguments.real("lateral_mean", lateral_mean, -np.inf)]
         both = correlation * along_std * lateral_std
         return cls(
-            mean=np.array(mean), covariance=np.array([[along_std**2, both], [both, lateral_std**2]])
+            mean=np.array([along_mean, lateral_mean]),
+            covariance=np.array([[along_std**2, both], [both, lateral_std**2]]),
         )
 
 
@@ -77,10 +73,13 @@ def total_variation(first: Displacement, second: Displacement, *, num_points: in
     laws = (first, second)
     stds = np.array([np.sqrt(np.diag(law.covariance)) for law in laws])
     means = np.array([law.mean for law in laws])
+
+    # A sum over a grid that reaches eight standard deviations beyond both means.
     low, high = (means - 8.0 * stds).min(0), (means + 8.0 * stds).max(0)
     axes = [np.linspace(low[i], high[i], num_points) for i in range(2)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
     area = np.prod([axis[1] - axis[0] for axis in axes])
+
     apart = np.abs(_density(points, first) - _density(points, second))
     return min(1.0, float(apart.sum() * area / 2.0))
 
@@ -101,7 +100,8 @@ def wasserstein_bound(first: Displacement, second: Displacement) -> float:
     return math.sqrt(max(shift + float(spread), 0.0))
 
 
-def success_gap_bound(total_variation: Any, num_decisions: Any) -> Any:
+@arguments.checked
+def success_gap_bound(total_variation: Shares, num_decisions: Counts) -> Floats:
     """Bounds how much the chance of success within a time limit changes.
 
     Args:
@@ -114,11 +114,9 @@ def success_gap_bound(total_variation: Any, num_decisions: Any) -> Any:
     Raises:
       ValueError, TypeError: an argument is out of its range, or num_decisions no integer.
     """
-    delta = arguments.real("total_variation", total_variation, high=1.0)
-    num = arguments.count("num_decisions", num_decisions)
-    xp = arguments.namespace(delta, num)
-    some = xp.where(delta < 1.0, delta, 0.0)
-    return xp.where(delta < 1.0, -xp.expm1(num * xp.log1p(-some)), 1.0)
+    is_certain = np.asarray(total_variation) == 1.0
+    log_stay = np.log1p(-np.where(is_certain, 0.0, total_variation))
+    return np.where(is_certain, 1.0, -np.expm1(num_decisions * log_stay))
 
 
 def _density(points: Float[np.ndarray, "N M 2"], law: Displacement) -> Float[np.ndarray, "N M"]:

@@ -1,33 +1,15 @@
 """Small MDPs with known answers, and random ones: what the bounds are tried on."""
 
-from typing import Any
-
 import numpy as np
-from flax import struct
-from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from eihrl_jax.theory import arguments
+from eihrl_jax.theory.arguments import Count, Share
+from eihrl_jax.theory.problem import Problem
 
 
-class Problem(struct.PyTreeNode):
-    """An MDP with a flat policy and a hierarchy; float64, perhaps with leading axes for many.
-
-    Attributes:
-      transition: [S, A, S], probability of the next state.
-      reward: [S, A], expected reward.
-      flat: [S, A], the flat policy.
-      low: [G, S, A], the low level under each subgoal.
-      high: [S, G], probability of each subgoal.
-    """
-
-    transition: Float[np.ndarray, "*N S A S"]
-    reward: Float[np.ndarray, "*N S A"]
-    flat: Float[np.ndarray, "*N S A"]
-    low: Float[np.ndarray, "*N G S A"]
-    high: Float[np.ndarray, "*N S G"]
-
-
-def keep_or_fall(delta: float, *, per_step: bool = False) -> Problem:
+@arguments.checked
+def keep_or_fall(delta: Share, *, per_step: bool = False) -> Problem:
     """Returns the chain in which Theorem 1 is an equality (docs/theory.md, CE1 and CE4).
 
     State 0 pays 1 for keeping (action 0), and nothing for falling (action 1) to state 1, where
@@ -41,16 +23,16 @@ def keep_or_fall(delta: float, *, per_step: bool = False) -> Problem:
     Raises:
       ValueError: `delta` is outside.
     """
-    share = float(arguments.real("delta", delta, high=1.0))
     keep, fall = [1.0, 0.0], [0.0, 1.0]
     if per_step:
-        low, high = [[[1.0 - share, share]] * 2], [[1.0]] * 2
+        low, high = [[[1.0 - delta, delta]] * 2], [[1.0]] * 2
     else:
-        low, high = [[keep] * 2, [fall] * 2], [[1.0 - share, share]] * 2
+        low, high = [[keep] * 2, [fall] * 2], [[1.0 - delta, delta]] * 2
     return _problem([[[1, 0], [0, 1]], [[0, 1], [0, 1]]], [keep, [0, 0]], [keep] * 2, low, high)
 
 
-def disjoint_uniform(num: int) -> Problem:
+@arguments.checked
+def disjoint_uniform(num: Count) -> Problem:
     """Returns an MDP in which every maximum norm is 1 / num and yet all is lost (CE2).
 
     From state 0, action 0 leads to any of `num` states that pay 1 for ever, action 1 to any of
@@ -60,13 +42,13 @@ def disjoint_uniform(num: int) -> Problem:
     Raises:
       TypeError, ValueError: `num` is no integer, or below 1.
     """
-    size = arguments.scalar_count("num", num)
-    transition = np.zeros((1 + 2 * size, 2, 1 + 2 * size))
-    transition[0, 0, 1 : 1 + size] = transition[0, 1, 1 + size :] = 1.0 / size
-    ends = np.arange(1, 1 + 2 * size)
+    transition = np.zeros((1 + 2 * num, 2, 1 + 2 * num))
+    transition[0, 0, 1 : 1 + num] = transition[0, 1, 1 + num :] = 1.0 / num
+    ends = np.arange(1, 1 + 2 * num)
     transition[ends, :, ends] = 1.0
-    reward = np.zeros((1 + 2 * size, 2))
-    reward[1 : 1 + size] = 1.0
+
+    reward = np.zeros((1 + 2 * num, 2))
+    reward[1 : 1 + num] = 1.0
     return _opposite(transition, reward)
 
 
@@ -90,14 +72,15 @@ def equal_distances() -> Problem:
     return _opposite(transition, np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 0.0]]))
 
 
+@arguments.checked
 def random_mdps(
     seed: int,
-    num: int,
+    num: Count,
     *,
-    num_states: int = 4,
-    num_actions: int = 2,
-    num_subgoals: int = 2,
-    closeness: float = 0.5,
+    num_states: Count = 4,
+    num_actions: Count = 2,
+    num_subgoals: Count = 2,
+    closeness: Share = 0.5,
 ) -> Problem:
     """Draws MDPs with policies, some of them sparse or deterministic.
 
@@ -112,10 +95,7 @@ def random_mdps(
     Raises:
       TypeError, ValueError: a number is no integer, or out of its range.
     """
-    sizes = [num, num_states, num_actions, num_subgoals]
-    names = ("num", "num_states", "num_actions", "num_subgoals")
-    n, s, a, g = (arguments.scalar_count(*pair) for pair in zip(names, sizes, strict=True))
-    share = float(arguments.real("closeness", closeness, high=1.0))
+    n, s, a, g = num, num_states, num_actions, num_subgoals
     rng = np.random.default_rng(seed)
 
     def draw(*shape: int) -> np.ndarray:
@@ -124,12 +104,15 @@ def random_mdps(
         rows = rng.gamma(concentration, size=(n, *shape)) + 1e-12
         return rows / rows.sum(-1, keepdims=True)
 
+    # Half of the flat policies are deterministic: there `mismatch.agreement` is exact.
     flat, low, high = draw(s, a), draw(g, s, a), draw(s, g)
     is_deterministic = rng.random((n, 1, 1)) < 0.5
     flat = np.where(is_deterministic, np.eye(a)[flat.argmax(-1)], flat)
+
     weight = rng.uniform(0.0, 0.3, (n, 1, 1, 1))
-    is_close = rng.random((n, 1, 1, 1)) < share
+    is_close = rng.random((n, 1, 1, 1)) < closeness
     low = np.where(is_close, (1.0 - weight) * flat[:, None] + weight * low, low)
+
     reward = rng.random((n, s, a)) * (rng.random((n, s, a)) < rng.uniform(0.2, 1.0, (n, 1, 1)))
     return Problem(transition=draw(s, a, s), reward=reward, flat=flat, low=low, high=high)
 
@@ -140,7 +123,5 @@ def _opposite(transition: np.ndarray, reward: np.ndarray) -> Problem:
     return _problem(transition, reward, keep, [[[0, 1], *keep[1:]]], [[1]] * len(keep))
 
 
-def _problem(*arrays: Any) -> Problem:
-    names = ("transition", "reward", "flat", "low", "high")
-    tables = {name: np.asarray(a, np.float64) for name, a in zip(names, arrays, strict=True)}
-    return Problem(**tables)
+def _problem(*tables: ArrayLike) -> Problem:
+    return Problem(*(np.asarray(table, np.float64) for table in tables))

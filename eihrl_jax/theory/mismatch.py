@@ -1,17 +1,17 @@
 """How far a hierarchy is from a flat policy, in every reading of the paper's nu, and the bounds.
 
-Paper, Definition A.1 and Lemma A.2. Arrays as in `tabular`, with leading axes for many MDPs.
+Paper, Definition A.1 and Lemma A.2. Problems may have leading axes, for many MDPs at once; numbers
+have the same.
 """
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from eihrl_jax.theory import arguments, bounds, tabular
-
-PerMdp = Float[np.ndarray, "..."] | float
+from eihrl_jax.theory.arguments import Count, Discount, Floats
+from eihrl_jax.theory.problem import Problem
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -27,12 +27,12 @@ class Mismatch:
       reward_gap: greatest difference between the expected rewards of a segment.
     """
 
-    literal: PerMdp
-    endpoint_max: PerMdp
-    endpoint_total_variation: PerMdp
-    path_max: PerMdp
-    path_total_variation: PerMdp
-    reward_gap: PerMdp
+    literal: Floats
+    endpoint_max: Floats
+    endpoint_total_variation: Floats
+    path_max: Floats
+    path_total_variation: Floats
+    reward_gap: Floats
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -45,49 +45,45 @@ class BoundCheck:
       holds: by name, whether the gap is no greater, up to rounding.
     """
 
-    gap: PerMdp
-    bounds: dict[str, PerMdp]
+    gap: Floats
+    bounds: dict[str, Floats]
     holds: dict[str, Bool[np.ndarray, "..."] | np.bool_]
 
 
-def agreement(transition: Any, flat: Any, low: Any, k: int) -> Float[np.ndarray, "... G S"]:
+@arguments.checked
+def agreement(problem: Problem, k: Count) -> Float[np.ndarray, "... G S"]:
     """Computes the mass that the k-step paths of both have in common at least: float64 [..., G, S].
 
     One minus it bounds the total variation of the paths of the flat policy and of a subgoal; the
     two are equal if the flat policy is deterministic.
 
     Args:
-      transition: [..., S, A, S].
-      flat: [..., S, A].
-      low: [..., G, S, A].
+      problem: whose high level doesn't matter.
       k: at least 1.
 
     Raises:
-      ValueError: an argument has a wrong shape or value.
+      ValueError: an array has a wrong shape or value.
       TypeError: k isn't an integer.
 
     Source: docs/theory.md, corollary of Theorem 1.
     """
-    steps = arguments.scalar_count("k", k)
-    transition, flat, low, _ = _check(transition, flat, low, None)
-    common = np.minimum(flat[..., None, :, :], low)
-    kernel = np.einsum("...gsa,...sat->...gst", common, transition)
+    p = problem.checked()
+    common = np.minimum(p.flat[..., None, :, :], p.low)
+    kernel = np.einsum("...gsa,...sat->...gst", common, p.transition)
     mass = np.ones(kernel.shape[:-1])
-    for _ in range(steps):
+    for _ in range(k):
         mass = (kernel @ mass[..., None])[..., 0]
     return mass
 
 
+@arguments.checked
 def path_total_variation(
-    transition: Any, flat: Any, low: Any, high: Any, k: int, *, max_paths: int = 10**6
+    problem: Problem, k: Count, *, max_paths: int = 10**6
 ) -> Float[np.ndarray, "... S"]:
     """Computes the total variation between the laws of the k-step paths by enumerating them.
 
     Args:
-      transition: [..., S, A, S].
-      flat: [..., S, A].
-      low: [..., G, S, A].
-      high: [..., S, G].
+      problem: both policies.
       k: at least 1.
       max_paths: limit on the number of paths from all states of one MDP, S A (S A)^(k - 1); the
         last state needn't be enumerated.
@@ -96,23 +92,18 @@ def path_total_variation(
       float64 [..., S], by the state in which the path starts.
 
     Raises:
-      ValueError: an argument has a wrong shape or value, or there are too many paths.
+      ValueError: an array has a wrong shape or value, or there are too many paths.
       TypeError: k isn't an integer.
     """
-    return _path_distances(transition, flat, low, high, k, max_paths)[0]
+    return _path_distances(problem.checked(), k, max_paths)[0]
 
 
-def mismatch(
-    transition: Any, reward: Any, flat: Any, low: Any, high: Any, k: int, gamma: float
-) -> Mismatch:
+@arguments.checked
+def mismatch(problem: Problem, k: Count, gamma: Discount) -> Mismatch:
     """Computes every reading of nu, with rewards discounted inside segments.
 
     Args:
-      transition: [..., S, A, S].
-      reward: [..., S, A].
-      flat: [..., S, A].
-      low: [..., G, S, A].
-      high: [..., S, G].
+      problem: both policies.
       k: at least 1.
       gamma: in [0, 1).
 
@@ -120,13 +111,15 @@ def mismatch(
       ValueError: an argument has a wrong shape or value, or there are too many paths.
       TypeError: k isn't an integer.
     """
-    high = _check(transition, flat, low, high)[3]
-    kernel, rewards = tabular.k_step_model(transition, reward, flat, k, gamma)
-    kernels, option_rewards = tabular.option_models(transition, reward, low, k, gamma)
-    mixed, mixed_rewards = tabular.mix(kernels, option_rewards, high)
+    model = (problem.transition, problem.reward)
+    kernel, rewards = tabular.k_step_model(*model, problem.flat, k, gamma)
+    kernels, option_rewards = tabular.option_models(*model, problem.low, k, gamma)
+    p = problem.checked()
+    mixed, mixed_rewards = tabular.mix(kernels, option_rewards, p.high)
+
     ends = np.abs(kernel - mixed)
-    weighted = np.swapaxes(high, -2, -1)[..., None] * kernels  # [..., G, S, S]
-    total, greatest = _path_distances(transition, flat, low, high, k, 10**6)
+    weighted = np.swapaxes(p.high, -2, -1)[..., None] * kernels  # [..., G, S, S]
+    total, greatest = _path_distances(p, k, 10**6)
     return Mismatch(
         literal=np.abs(kernel[..., None, :, :] - weighted).max((-3, -2, -1)),
         endpoint_max=ends.max((-2, -1)),
@@ -137,17 +130,12 @@ def mismatch(
     )
 
 
-def check_bounds(
-    transition: Any, reward: Any, flat: Any, low: Any, high: Any, k: int, gamma: float
-) -> BoundCheck:
+@arguments.checked
+def check_bounds(problem: Problem, k: Count, gamma: Discount) -> BoundCheck:
     """Compares what a hierarchy loses against a flat policy with every bound.
 
     Args:
-      transition: [..., S, A, S].
-      reward: [..., S, A], at least 0: the published formulas know no other.
-      flat: [..., S, A].
-      low: [..., G, S, A].
-      high: [..., S, G].
+      problem: whose rewards are at least 0: the published formulas know no others.
       k: at least 1.
       gamma: in [0, 1).
 
@@ -160,16 +148,17 @@ def check_bounds(
       ValueError: an argument has a wrong shape or value, or there are too many paths.
       TypeError: k isn't an integer.
     """
-    reward = arguments.table("reward", reward, (None, None))
+    reward = problem.checked().reward
     if (reward < 0.0).any():
         raise ValueError(f"reward = {reward.min()} must be at least 0")
-    flat_value = tabular.policy_value(transition, reward, flat, gamma)
-    gap = np.abs(
-        flat_value - tabular.hierarchical_value(transition, reward, low, high, k, gamma)
-    ).max(-1)
-    nu = mismatch(transition, reward, flat, low, high, k, gamma)
-    span = reward.max((-2, -1)) - reward.min((-2, -1))
-    found = _corrected(transition, flat, low, high, k, gamma, nu, span)
+
+    model = (problem.transition, reward)
+    flat_value = tabular.policy_value(*model, problem.flat, gamma)
+    low_value = tabular.hierarchical_value(*model, problem.low, problem.high, k, gamma)
+    gap = np.abs(flat_value - low_value).max(-1)
+
+    nu = mismatch(problem, k, gamma)
+    limits = _corrected(problem.checked(), k, gamma, nu)
     readings = {
         "literal": nu.literal,
         "endpoint max": nu.endpoint_max,
@@ -179,93 +168,73 @@ def check_bounds(
     }
     for variant in ("printed", "derived"):
         for reading, rate in readings.items():
-            found[f"{variant}, {reading}"] = bounds.published_hierarchy_bound(
+            limits[f"{variant}, {reading}"] = bounds.published_hierarchy_bound(
                 np.minimum(rate, 2.0), k, gamma, r_max=reward.max((-2, -1)), variant=variant
             )
-    holds = {name: gap <= bound * (1.0 + 1e-9) + 1e-10 for name, bound in found.items()}
-    return BoundCheck(gap=gap, bounds=found, holds=holds)
+
+    holds = {name: gap <= limit * (1.0 + 1e-9) + 1e-10 for name, limit in limits.items()}
+    return BoundCheck(gap=gap, bounds=limits, holds=holds)
 
 
-def _corrected(
-    transition: Any,
-    flat: Any,
-    low: Any,
-    high: Any,
-    k: int,
-    gamma: float,
-    nu: Mismatch,
-    span: PerMdp,
-) -> dict[str, PerMdp]:
+def _corrected(p: Problem, k: int, gamma: float, nu: Mismatch) -> dict[str, Floats]:
     """Returns the bounds that hold, by name."""
-    transition, flat, low, high = _check(transition, flat, low, high)
-    common = np.einsum("...sg,...gs->...s", high, agreement(transition, flat, low, k))
-    slip = np.abs(flat[..., None, :, :] - low).sum(-1).max((-2, -1)) / 2.0
+    span = p.reward.max((-2, -1)) - p.reward.min((-2, -1))
+    common = np.einsum("...sg,...gs->...s", p.high, agreement(p, k))
+    # Of a single step: the greatest total variation of the actions in a state.
+    slip = np.abs(p.flat[..., None, :, :] - p.low).sum(-1).max((-2, -1)) / 2.0
 
-    def bound(total_variation: Any, steps: int, form: Any = "sharp") -> Any:
+    def bound(total_variation: Floats, steps: int, form: bounds.Form = "sharp") -> Floats:
         return bounds.value_gap_bound(
             np.clip(total_variation, 0.0, 1.0), steps, gamma, reward_span=span, form=form
         )
 
+    ends = np.minimum(nu.endpoint_total_variation, 1.0)
     return {
         "path": bound(nu.path_total_variation, k),
         "path, linear": bound(nu.path_total_variation, k, "linear"),
         "agreement": bound((1.0 - common).max(-1), k),
         "one step": bound(slip, 1),
         "endpoint": bounds.endpoint_value_gap_bound(
-            np.minimum(nu.endpoint_total_variation, 1.0),
-            nu.reward_gap,
-            k,
-            gamma,
-            reward_span=span,
+            ends, nu.reward_gap, k, gamma, reward_span=span
         ),
     }
 
 
 def _path_distances(
-    transition: Any, flat: Any, low: Any, high: Any, k: int, max_paths: int
+    p: Problem, k: int, max_paths: int
 ) -> tuple[Float[np.ndarray, "... S"], Float[np.ndarray, "... S"]]:
     """Returns half the L1 norm and the maximum norm between path laws, by first state.
 
     A path's probability is what the MDP contributes times what the policies do, so both laws share
     the former. Axes: subgoal (the low level's), first state, path up to a state, next action.
     """
-    steps = arguments.scalar_count("k", k)
-    transition, flat, low, high = _check(transition, flat, low, high)
-    *lead, num_states, num_actions = flat.shape
-    num_subgoals = low.shape[-3]
-    num_paths = (num_states * num_actions) ** steps
+    *lead, num_states, num_actions = p.flat.shape
+    num_subgoals = p.low.shape[-3]
+    num_paths = (num_states * num_actions) ** k
     if num_paths > max_paths:
         raise ValueError(f"k = {k} makes {num_paths} paths, at most {max_paths} are enumerated")
 
     shared = np.ones((*lead, num_states, 1))
-    by_flat = flat[..., None, :]
-    by_low = (np.swapaxes(high, -2, -1)[..., None] * low)[..., None, :]
-    onward = transition[..., None, :, :]  # from the last state of each path
-    for _ in range(steps - 1):
+    by_flat = p.flat[..., None, :]
+    by_low = (np.swapaxes(p.high, -2, -1)[..., None] * p.low)[..., None, :]
+    onward = p.transition[..., None, :, :]  # from the last state of each path
+
+    # Every pass makes the paths longer by an action and a state.
+    for _ in range(k - 1):
         num = shared.shape[-1] * num_actions
         first, longer = (*lead, num_states), num * num_states
         shared = (shared[..., None, None] * onward).reshape(*first, longer)
-        by_flat = by_flat.reshape(*first, num, 1, 1) * flat[..., None, None, :, :]
+        by_flat = by_flat.reshape(*first, num, 1, 1) * p.flat[..., None, None, :, :]
         by_flat = by_flat.reshape(*first, longer, num_actions)
+
         by_low = by_low.reshape(*lead, num_subgoals, num_states, num, 1, 1)
-        by_low = (by_low * low[..., None, None, :, :]).reshape(
+        by_low = (by_low * p.low[..., None, None, :, :]).reshape(
             *lead, num_subgoals, num_states, longer, num_actions
         )
-        onward = transition[..., None, None, :, :, :]
+
+        onward = p.transition[..., None, None, :, :, :]
         onward = np.broadcast_to(onward, (*first, num, *onward.shape[-3:]))
         onward = onward.reshape(*first, longer, num_actions, num_states)
+
     apart = np.abs(by_flat - by_low.sum(-4)) * shared[..., None]
     return apart.sum((-2, -1)) / 2.0, (apart * onward.max(-1)).max((-2, -1))
-
-
-def _check(
-    transition: Any, flat: Any, low: Any, high: Any
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, Any]:
-    """Returns all in float64 after checking that they fit together; `high` may be left out."""
-    transition = arguments.transition(transition)
-    num_states, num_actions = transition.shape[-3:-1]
-    flat = arguments.probabilities("flat", flat, (num_states, num_actions))
-    low = arguments.probabilities("low", low, (None, num_states, num_actions))
-    if high is not None:
-        high = arguments.probabilities("high", high, (num_states, low.shape[-3]))
-    return transition, flat, low, high

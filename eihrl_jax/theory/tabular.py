@@ -14,26 +14,27 @@ states, A: actions, G: subgoals.
 Functions raise ValueError where a shape doesn't fit or probabilities don't sum to 1.
 """
 
-from typing import Any
-
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
-from eihrl_jax.config import checks
-from eihrl_jax.theory import arguments, segments
+from eihrl_jax.theory import arguments
+from eihrl_jax.theory.arguments import Count, Discount
+from eihrl_jax.theory.segments import SegmentReward
 
 Matrix = Float[np.ndarray, "... S S"]
 Vector = Float[np.ndarray, "... S"]
 
 
+@arguments.checked
 def k_step_model(
-    transition: Any,
-    reward: Any,
-    flat: Any,
-    k: int,
-    gamma: float,
+    transition: ArrayLike,
+    reward: ArrayLike,
+    flat: ArrayLike,
+    k: Count,
+    gamma: Discount,
     *,
-    segment_reward: segments.SegmentReward = "discounted",
+    segment_reward: SegmentReward = "discounted",
 ) -> tuple[Matrix, Vector]:
     """Computes where k steps of a policy lead, and what they pay.
 
@@ -52,21 +53,20 @@ def k_step_model(
       ValueError: an argument has a wrong shape or value.
       TypeError: k isn't an integer.
     """
-    steps = arguments.scalar_count("k", k)
-    gamma = float(arguments.real("gamma", gamma, below=1.0))
     transition, reward, flat = _check(transition, reward, flat)
     kernel, one_reward = _one_step(transition, reward, flat)
-    return _repeat(kernel, one_reward, steps, gamma, segment_reward)
+    return _repeat(kernel, one_reward, k, gamma, segment_reward)
 
 
+@arguments.checked
 def option_models(
-    transition: Any,
-    reward: Any,
-    low: Any,
-    k: int,
-    gamma: float,
+    transition: ArrayLike,
+    reward: ArrayLike,
+    low: ArrayLike,
+    k: Count,
+    gamma: Discount,
     *,
-    segment_reward: segments.SegmentReward = "discounted",
+    segment_reward: SegmentReward = "discounted",
 ) -> tuple[Float[np.ndarray, "... G S S"], Float[np.ndarray, "... G S"]]:
     """Computes `k_step_model` of the low level under each subgoal.
 
@@ -99,7 +99,10 @@ def option_models(
     )
 
 
-def policy_value(transition: Any, reward: Any, flat: Any, gamma: float) -> Vector:
+@arguments.checked
+def policy_value(
+    transition: ArrayLike, reward: ArrayLike, flat: ArrayLike, gamma: Discount
+) -> Vector:
     """Computes the values of a flat policy: float64 [..., S].
 
     Raises:
@@ -108,14 +111,15 @@ def policy_value(transition: Any, reward: Any, flat: Any, gamma: float) -> Vecto
     return segment_value(transition, reward, flat, 1, gamma)
 
 
+@arguments.checked
 def segment_value(
-    transition: Any,
-    reward: Any,
-    flat: Any,
-    k: int,
-    gamma: float,
+    transition: ArrayLike,
+    reward: ArrayLike,
+    flat: ArrayLike,
+    k: Count,
+    gamma: Discount,
     *,
-    segment_reward: segments.SegmentReward = "discounted",
+    segment_reward: SegmentReward = "discounted",
 ) -> Vector:
     """Computes the values of a flat policy as a hierarchy's are counted: in segments of k steps.
 
@@ -131,15 +135,16 @@ def segment_value(
     return _solve(kernel, rewards, gamma**k)
 
 
+@arguments.checked
 def hierarchical_value(
-    transition: Any,
-    reward: Any,
-    low: Any,
-    high: Any,
-    k: int,
-    gamma: float,
+    transition: ArrayLike,
+    reward: ArrayLike,
+    low: ArrayLike,
+    high: ArrayLike,
+    k: Count,
+    gamma: Discount,
     *,
-    segment_reward: segments.SegmentReward = "discounted",
+    segment_reward: SegmentReward = "discounted",
 ) -> Vector:
     """Computes the values of a hierarchy when a subgoal is about to be drawn: float64 [..., S].
 
@@ -164,28 +169,29 @@ def hierarchical_value(
     return _solve(*mix(kernels, rewards, chosen), gamma**k)
 
 
+@arguments.checked
 def optimal_value(
-    transition: Any, reward: Any, gamma: float
+    transition: ArrayLike, reward: ArrayLike, gamma: Discount
 ) -> tuple[Vector, Float[np.ndarray, "... S A"]]:
     """Computes the best values of all policies, and a deterministic policy that attains them.
 
     Raises:
       ValueError: an argument has a wrong shape or value.
     """
-    gamma = float(arguments.real("gamma", gamma, below=1.0))
     transition = arguments.transition(transition)
     reward = arguments.table("reward", reward, transition.shape[-3:-1])
     return _improve(np.swapaxes(transition, -3, -2), np.swapaxes(reward, -2, -1), gamma)
 
 
+@arguments.checked
 def optimal_hierarchical_value(
-    transition: Any,
-    reward: Any,
-    low: Any,
-    k: int,
-    gamma: float,
+    transition: ArrayLike,
+    reward: ArrayLike,
+    low: ArrayLike,
+    k: Count,
+    gamma: Discount,
     *,
-    segment_reward: segments.SegmentReward = "discounted",
+    segment_reward: SegmentReward = "discounted",
 ) -> tuple[Vector, Float[np.ndarray, "... S G"]]:
     """Computes the best values of all high levels, and a deterministic one that attains them.
 
@@ -199,7 +205,9 @@ def optimal_hierarchical_value(
     return _improve(kernels, rewards, gamma**k)
 
 
-def _check(transition: Any, reward: Any, flat: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _check(
+    transition: ArrayLike, reward: ArrayLike, flat: ArrayLike
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the three in float64 after checking that they fit together."""
     transition = arguments.transition(transition)
     sizes = transition.shape[-3:-1]
@@ -215,10 +223,9 @@ def _one_step(
 
 
 def _repeat(
-    kernel: Matrix, one_reward: Vector, k: int, gamma: float, segment_reward: str
+    kernel: Matrix, one_reward: Vector, k: int, gamma: float, segment_reward: SegmentReward
 ) -> tuple[Matrix, Vector]:
     """Returns the kernel's k-th power, and the rewards of k steps."""
-    checks.one_of("segment_reward", segment_reward, ("discounted", "undiscounted"))
     discount = gamma if segment_reward == "discounted" else 1.0
     power, rewards = kernel, one_reward
     for _ in range(k - 1):
@@ -255,7 +262,7 @@ def _solve(kernel: Matrix, rewards: Vector, discount: float) -> Vector:
 def _improve(
     kernels: Float[np.ndarray, "... C S S"], rewards: Float[np.ndarray, "... C S"], discount: float
 ) -> tuple[Vector, Float[np.ndarray, "... S C"]]:
-    """Policy iteration over C choices in all MDPs at once; changes a choice only if it gains."""
+    """Returns what policy iteration over C choices ends with, in all MDPs at once."""
     num_choices = rewards.shape[-2]
     best = np.zeros(rewards.shape[:-2] + rewards.shape[-1:], np.int64)
     while True:
@@ -263,6 +270,7 @@ def _improve(
         value = _solve(*mix(kernels, rewards, chosen), discount)
         gains = rewards + discount * (kernels @ value[..., None, :, None])[..., 0]
         now = np.take_along_axis(gains, best[..., None, :], -2)[..., 0, :]
+        # Only what gains more than rounding is changed, else equal choices would never settle.
         margin = 1e-12 * np.maximum(1.0, np.abs(now))
         is_better = gains.max(-2) > now + margin
         if not is_better.any():

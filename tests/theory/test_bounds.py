@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eihrl_jax.theory import bounds
+from eihrl_jax.theory import bounds, gaussians
 
 PUBLISHED_HIERARCHY = [
     # nu, k, gamma, r_max; printed, derived
@@ -113,7 +113,7 @@ def test_wasserstein_value_gap_bound(rho, w, slope, k, gamma, expected):
     ],
 )
 def test_displacement_value_gap_bound(bias, std, k, gamma, slope, length, expected):
-    assert bounds.rician_mean(bias, std) == close(length, 12)
+    assert gaussians.rician_mean(bias, std) == close(length, 12)
     assert bounds.displacement_value_gap_bound(bias, std, slope, k, gamma) == close(expected, 12)
 
 
@@ -192,3 +192,36 @@ def test_maximum_norms_bound_total_variations_by_half_the_number_of_outcomes(num
     attained = np.abs(moved).sum() / 2.0
     assert bounds.max_norm_to_total_variation(step, num) == pytest.approx(attained, abs=1e-15)
     assert bounds.max_norm_to_total_variation(1.0, 10) == 1.0
+
+
+@pytest.mark.parametrize("types", [np.float32, np.float64])
+def test_arrays_broadcast_and_numpy_computes_in_float64(types):
+    delta = np.array([0.0, 0.25, 1.0], types)[:, None, None]
+    k, gamma = np.array([1, 10])[:, None], np.array([0.0, 0.5, 0.75, 0.9375], types)
+    for bound in (bounds.value_gap_bound, bounds.published_hierarchy_bound):
+        found = bound(delta, k, gamma)
+        assert (found.shape, found.dtype) == ((3, 2, 4), np.float64)
+        for index in np.ndindex(found.shape):
+            x, y, z = float(delta[index[0], 0, 0]), int(k[index[1], 0]), float(gamma[index[2]])
+            assert found[index] == pytest.approx(float(bound(x, y, z)), rel=1e-14, abs=0.0)
+
+
+@pytest.mark.parametrize(
+    ("function", "inputs"),
+    [
+        (bounds.endpoint_value_gap_bound, (0.2, [0.5, 1.0], 3, 0.9)),
+        (bounds.optimal_value_gap_bound, (0.2, [0.5, 1.0], 3, 0.9)),
+        (bounds.wasserstein_value_gap_bound, ([1, 2], 1, 3, 0)),
+        (bounds.displacement_value_gap_bound, ([1, 2], 1, 1, 3, 0)),
+        (bounds.published_subgoal_bound, ([1, 2], 1, 1, 3, 0)),
+        (bounds.max_norm_to_total_variation, (0, [1, 2])),
+        (gaussians.total_variation, ([0, 1], 1)),
+        (gaussians.scale_total_variation, ([2, 1], 1)),
+        (gaussians.rician_mean, ([0, 1], 1)),
+        (gaussians.rayleigh_cdf, ([0, 1], 1)),
+        (gaussians.rayleigh_quantile, ([0, 0.5], 1)),
+    ],
+)
+def test_lists_of_numbers_give_float64_arrays(function, inputs):
+    found = function(*inputs)
+    assert (found.shape, found.dtype) == ((2,), np.float64)

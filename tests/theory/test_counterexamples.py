@@ -6,20 +6,9 @@ import numpy as np
 import pytest
 
 from eihrl_jax.theory import bounds, fixtures, mismatch, tabular
+from eihrl_jax.theory import problem as problem_lib
 
 READINGS = ("literal", "endpoint max", "endpoint L1", "path max", "path L1")
-
-
-def check(problem, k, gamma):
-    """Checks all bounds on one problem."""
-    p = problem
-    return mismatch.check_bounds(p.transition, p.reward, p.flat, p.low, p.high, k, gamma)
-
-
-def measure(problem, k, gamma):
-    """Measures all readings of nu on one problem."""
-    p = problem
-    return mismatch.mismatch(p.transition, p.reward, p.flat, p.low, p.high, k, gamma)
 
 
 def failing(result):
@@ -39,7 +28,7 @@ def near(value):
 
 def test_one_fall_in_ten_breaks_every_maximum_norm():
     problem = fixtures.keep_or_fall(0.1, per_step=True)
-    result, nu = check(problem, 1, 0.5), measure(problem, 1, 0.5)
+    result, nu = mismatch.check_bounds(problem, 1, 0.5), mismatch.mismatch(problem, 1, 0.5)
     assert result.gap == near(Fraction(4, 11))
     for reading in (nu.literal, nu.endpoint_max, nu.path_max, nu.path_total_variation):
         assert reading == near(Fraction(1, 10))
@@ -55,7 +44,7 @@ def test_one_fall_in_ten_breaks_every_maximum_norm():
 @pytest.mark.parametrize("num", [1, 2, 3, 50])
 def test_disjoint_ends_are_a_maximum_norm_of_one_in_many(num):
     problem = fixtures.disjoint_uniform(num)
-    result, nu = check(problem, 1, 0.5), measure(problem, 1, 0.5)
+    result, nu = mismatch.check_bounds(problem, 1, 0.5), mismatch.mismatch(problem, 1, 0.5)
     assert result.gap == near(1)
     assert (nu.reward_gap, nu.endpoint_total_variation) == (near(0), near(1))
     for reading in (nu.literal, nu.endpoint_max, nu.path_max):
@@ -70,7 +59,7 @@ def test_disjoint_ends_are_a_maximum_norm_of_one_in_many(num):
 @pytest.mark.parametrize(("k", "gamma"), [(1, 0.5), (3, 0.9)])
 def test_equal_ends_may_hide_a_loss_of_everything(k, gamma):
     problem = fixtures.equal_endpoints()
-    result, nu = check(problem, k, gamma), measure(problem, k, gamma)
+    result, nu = mismatch.check_bounds(problem, k, gamma), mismatch.mismatch(problem, k, gamma)
     assert result.gap == near(1.0 / (1.0 - gamma))
     assert (nu.literal, nu.endpoint_max, nu.endpoint_total_variation) == (0.0, 0.0, 0.0)
     assert nu.path_total_variation == nu.path_max == 1.0
@@ -90,7 +79,7 @@ def test_rewards_on_the_way_are_invisible_to_ends():
     reward[1] = 1.0
     keep = [[1.0, 0.0]] * 4
     low, high = [[[0.0, 1.0], *keep[1:]]], [[1.0]] * 4
-    result = mismatch.check_bounds(transition, reward, keep, low, high, 2, 0.9)
+    result = mismatch.check_bounds(problem_lib.Problem(transition, reward, keep, low, high), 2, 0.9)
     assert result.gap == near(0.9)
     assert result.bounds["derived, endpoint L1"] == 0.0
     assert failing(result) == both("literal", "endpoint max", "endpoint L1")
@@ -98,7 +87,7 @@ def test_rewards_on_the_way_are_invisible_to_ends():
 
 def test_the_missing_factor_k_breaks_the_printed_bound_in_the_l1_norm():
     problem = fixtures.keep_or_fall(0.1)
-    result = check(problem, 2, 0.9)
+    result = mismatch.check_bounds(problem, 2, 0.9)
     assert result.gap == near(Fraction(1000, 271))
     low_value = tabular.hierarchical_value(
         problem.transition, problem.reward, problem.low, problem.high, 2, 0.9
@@ -144,7 +133,7 @@ def test_goals_at_equal_distances_break_the_theorem_on_subgoals():
 @pytest.mark.parametrize("gamma", [0.0, 0.3, 0.9, 0.999])
 @pytest.mark.parametrize("k", [1, 2, 5])
 def test_theorem_1_is_an_equality_where_segments_keep_or_fall(k, gamma, delta):
-    result = check(fixtures.keep_or_fall(delta), k, gamma)
+    result = mismatch.check_bounds(fixtures.keep_or_fall(delta), k, gamma)
     exact_gamma, exact_delta = Fraction(gamma), Fraction(delta)
     kept = exact_gamma**k
     gap = exact_delta / (1 - exact_gamma) / (1 - kept * (1 - exact_delta))
@@ -158,7 +147,7 @@ def test_theorem_1_is_an_equality_where_segments_keep_or_fall(k, gamma, delta):
 @pytest.mark.parametrize("k", [1, 2, 5])
 @pytest.mark.parametrize("delta", [0.05, 0.6])
 def test_the_one_step_bound_is_an_equality_where_steps_keep_or_fall(k, delta):
-    result = check(fixtures.keep_or_fall(delta, per_step=True), k, 0.9)
+    result = mismatch.check_bounds(fixtures.keep_or_fall(delta, per_step=True), k, 0.9)
     assert result.gap == pytest.approx(10.0 * delta / (1.0 - 0.9 * (1.0 - delta)), rel=1e-12)
     assert result.bounds["one step"] == pytest.approx(result.gap, rel=1e-12)
     assert result.bounds["path"] >= result.gap * (1.0 - 1e-12)
@@ -166,8 +155,8 @@ def test_the_one_step_bound_is_an_equality_where_steps_keep_or_fall(k, delta):
 
 def test_slips_in_single_steps_add_up_over_a_segment():
     problem = fixtures.keep_or_fall(0.1, per_step=True)
-    result = check(problem, 3, 0.9)
-    assert measure(problem, 3, 0.9).path_total_variation == near(Fraction(271, 1000))
+    result = mismatch.check_bounds(problem, 3, 0.9)
+    assert mismatch.mismatch(problem, 3, 0.9).path_total_variation == near(Fraction(271, 1000))
     assert result.gap == pytest.approx(5.263157894737, abs=5.1e-13)
     assert result.bounds["one step"] == pytest.approx(5.263157894737, abs=5.1e-13)
     assert result.bounds["path"] == pytest.approx(5.783689994216, abs=5.1e-13)
@@ -189,7 +178,7 @@ def test_neither_reading_of_an_end_bounds_the_other(num):
     # Equal policies under several subgoals: eq. 16 is 0, eq. 8 isn't.
     p = fixtures.keep_or_fall(0.0, per_step=True)
     low, high = np.repeat(p.low, num, 0), np.full((2, num), 1.0 / num)
-    nu = mismatch.mismatch(p.transition, p.reward, p.flat, low, high, 1, 0.5)
+    nu = mismatch.mismatch(p.replace(low=low, high=high), 1, 0.5)
     assert nu.endpoint_max == near(0)
     assert nu.literal == near(1.0 - 1.0 / num)
     # Uniform against all subgoals to one state of `size`.
@@ -198,6 +187,7 @@ def test_neither_reading_of_an_end_bounds_the_other(num):
     flat, low = np.full((size, size), 1.0 / size), np.zeros((num, size, size))
     low[..., 0] = 1.0
     high = np.full((size, num), 1.0 / num)
-    nu = mismatch.mismatch(transition, np.zeros((size, size)), flat, low, high, 1, 0.5)
+    reward = np.zeros((size, size))
+    nu = mismatch.mismatch(problem_lib.Problem(transition, reward, flat, low, high), 1, 0.5)
     assert nu.endpoint_max == near(1.0 - 1.0 / size)
     assert nu.literal == near(max(1.0 / size, abs(1.0 / size - 1.0 / num)))

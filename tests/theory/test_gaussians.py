@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from eihrl_jax.theory import bounds
+from eihrl_jax.theory import gaussians
 
 
 def close(expected, digits):
@@ -29,7 +29,7 @@ def test_total_variation_of_shifted_gaussians_is_an_integral(shift, std, expecte
         points=[shift / 2.0],
         epsabs=1e-12,
     )
-    found = bounds.gaussian_total_variation(shift, std)
+    found = gaussians.total_variation(shift, std)
     assert found == close(expected, 12)
     assert found == pytest.approx(integral, abs=1e-10)
 
@@ -54,13 +54,13 @@ def test_total_variation_of_scaled_gaussians_is_an_integral_over_the_radius(
         integrate.quad(apart, 0.0, crossing, epsabs=1e-13)[0],
         integrate.quad(apart, crossing, 12.0 * max(first, second), epsabs=1e-13, limit=200)[0],
     ]
-    found = bounds.gaussian_scale_total_variation(first, second)
+    found = gaussians.scale_total_variation(first, second)
     assert found == pytest.approx(sum(parts), abs=1e-10)
     assert expected is None or found == close(expected, 12)
 
 
 def test_scaled_gaussians_from_equal_to_utterly_different():
-    tv = bounds.gaussian_scale_total_variation
+    tv = gaussians.scale_total_variation
     assert tv(0.7, 0.7) == 0.0
     # a = 1 - 2e for a ratio of 1 - e, and TV = (1 - a) / exp(1) to first order.
     assert tv(1.0 - 1e-12, 1.0) == pytest.approx(2e-12 / math.e, rel=1e-4)
@@ -75,7 +75,7 @@ def test_mean_length_is_an_integral_over_the_plane(shift, std):
         return length * radius / std**2 * math.exp(-0.5 * (radius / std) ** 2) / math.pi
 
     integral, _ = integrate.dblquad(share, 0.0, 9.0 * std, 0.0, math.pi, epsabs=1e-9, epsrel=1e-9)
-    found = bounds.rician_mean(shift, std)
+    found = gaussians.rician_mean(shift, std)
     assert found == pytest.approx(integral, abs=1e-8)
     assert max(shift, std * math.sqrt(math.pi / 2)) <= found <= math.sqrt(shift**2 + 2 * std**2)
 
@@ -83,16 +83,20 @@ def test_mean_length_is_an_integral_over_the_plane(shift, std):
 @pytest.mark.parametrize("shift", [1e-120, 0.3, 1e6])
 def test_mean_length_is_continuous_where_its_series_begins(shift):
     stds = 1e-4 * shift * np.array([0.5, 1.0 - 1e-9, 1.0 + 1e-9, 2.0])
-    excess = bounds.rician_mean(shift, stds) / shift - 1.0  # e^2 / 2 + e^4 / 8 for e = std / shift
+    excess = (
+        gaussians.rician_mean(shift, stds) / shift - 1.0
+    )  # e^2 / 2 + e^4 / 8 for e = std / shift
     np.testing.assert_allclose(excess, (stds / shift) ** 2 / 2.0, rtol=1e-6, atol=1e-15)
 
 
 def test_mean_length_without_noise_or_without_shift():
-    np.testing.assert_array_equal(bounds.rician_mean(np.array([0.0, 0.3, 4.0]), 0.0), [0, 0.3, 4.0])
+    np.testing.assert_array_equal(
+        gaussians.rician_mean(np.array([0.0, 0.3, 4.0]), 0.0), [0, 0.3, 4.0]
+    )
     rayleigh = math.sqrt(math.pi / 2.0)
-    assert bounds.rician_mean(0.0, 2.0) == pytest.approx(2.0 * rayleigh, rel=1e-15)
-    assert bounds.rician_mean(1e-120, 1.0) == pytest.approx(rayleigh, rel=1e-15)
-    assert bounds.rician_mean(0.0, 1e100) == pytest.approx(1e100 * rayleigh, rel=1e-15)
+    assert gaussians.rician_mean(0.0, 2.0) == pytest.approx(2.0 * rayleigh, rel=1e-15)
+    assert gaussians.rician_mean(1e-120, 1.0) == pytest.approx(rayleigh, rel=1e-15)
+    assert gaussians.rician_mean(0.0, 1e100) == pytest.approx(1e100 * rayleigh, rel=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -103,10 +107,10 @@ def test_rayleigh_cdf_is_an_integral_over_a_disc(radius, expected):
     def strip(x):
         return stats.norm.pdf(x) * (2.0 * stats.norm.cdf(math.sqrt(radius**2 - x**2)) - 1.0)
 
-    assert bounds.rayleigh_cdf(radius, 1.0) == close(expected, 10)
+    assert gaussians.rayleigh_cdf(radius, 1.0) == close(expected, 10)
     integral = 2.0 * integrate.quad(strip, 0.0, radius)[0]
-    assert bounds.rayleigh_cdf(0.7 * radius, 0.7) == pytest.approx(integral, abs=1e-9)
-    np.testing.assert_array_equal(bounds.rayleigh_cdf(np.array([0.0, 2.0]), 0.0), 1.0)
+    assert gaussians.rayleigh_cdf(0.7 * radius, 0.7) == pytest.approx(integral, abs=1e-9)
+    np.testing.assert_array_equal(gaussians.rayleigh_cdf(np.array([0.0, 2.0]), 0.0), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -120,12 +124,12 @@ def test_rayleigh_cdf_is_an_integral_over_a_disc(radius, expected):
     ],
 )
 def test_rayleigh_quantile(level, segments, expected):
-    found = bounds.rayleigh_quantile(level, 1.0, segments=segments)
+    found = gaussians.rayleigh_quantile(level, 1.0, segments=segments)
     assert found == close(expected, 12)
-    assert bounds.rayleigh_cdf(3.0 * found, 3.0) ** segments == pytest.approx(level, rel=1e-12)
+    assert gaussians.rayleigh_cdf(3.0 * found, 3.0) ** segments == pytest.approx(level, rel=1e-12)
 
 
 def test_rayleigh_quantile_of_hardly_any_probability():
     level = np.array([0.0, 1e-300, 1e-20, 1e-8])
     expected = np.sqrt(2.0 * level) * (1.0 + level / 4.0)  # of -log(1 - p) = p + p^2 / 2 + ...
-    np.testing.assert_allclose(bounds.rayleigh_quantile(level, 1.0), expected, rtol=1e-13)
+    np.testing.assert_allclose(gaussians.rayleigh_quantile(level, 1.0), expected, rtol=1e-13)

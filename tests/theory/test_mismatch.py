@@ -79,14 +79,14 @@ def test_readings_are_sums_over_paths(num_states, num_actions, num_subgoals, k):
         k, 8, num_states=num_states, num_actions=num_actions, num_subgoals=num_subgoals
     )
     p, gamma = problems, 0.8
-    together = mismatch.mismatch(p.transition, p.reward, p.flat, p.low, p.high, k, gamma)
-    paths = mismatch.path_total_variation(p.transition, p.flat, p.low, p.high, k)
-    shared = mismatch.agreement(p.transition, p.flat, p.low, k)
+    together = mismatch.mismatch(p, k, gamma)
+    paths = mismatch.path_total_variation(p, k)
+    shared = mismatch.agreement(p, k)
     num_deterministic = 0
     for i in range(8):
         one = jax.tree.map(lambda array, i=i: array[i], problems)
         readings, apart, common, per_subgoal = enumerate_paths(one, k, gamma)
-        alone = mismatch.mismatch(one.transition, one.reward, one.flat, one.low, one.high, k, gamma)
+        alone = mismatch.mismatch(one, k, gamma)
         for name, expected in readings.items():
             for found in (getattr(together, name)[i], getattr(alone, name)):
                 assert found == pytest.approx(expected, rel=1e-11, abs=1e-14), name
@@ -115,7 +115,7 @@ def count_violations():
     for index in range(len(SIZES)):
         p, k = problems_of(index)
         for gamma in GAMMAS:
-            check = mismatch.check_bounds(p.transition, p.reward, p.flat, p.low, p.high, k, gamma)
+            check = mismatch.check_bounds(p, k, gamma)
             total += check.gap.size
             for name, holds in check.holds.items():
                 assert holds.shape == check.gap.shape
@@ -140,10 +140,10 @@ def test_published_readings_are_violated_often(variant, reading):
 def test_bounds_are_ordered_and_the_gap_is_that_of_the_values():
     p, k = problems_of(2)
     for gamma in GAMMAS:
-        check = mismatch.check_bounds(p.transition, p.reward, p.flat, p.low, p.high, k, gamma)
+        check = mismatch.check_bounds(p, k, gamma)
         for smaller, greater in [("path", "path, linear"), ("path", "agreement")]:
             assert (check.bounds[smaller] <= check.bounds[greater] + 1e-10).all()
-        nu = mismatch.mismatch(p.transition, p.reward, p.flat, p.low, p.high, k, gamma)
+        nu = mismatch.mismatch(p, k, gamma)
         largest = p.reward.max((-2, -1))
         kept = gamma**k
         expected = nu.path_total_variation * k * largest / (1.0 - kept) ** 2
@@ -159,11 +159,11 @@ def test_bounds_are_ordered_and_the_gap_is_that_of_the_values():
 
 @pytest.mark.parametrize("index", range(len(SIZES)))
 def test_theorem_2_bounds_optimal_values(index):
-    p, k = problems_of(index)
-    model = (p.transition, p.reward)
+    problems, k = problems_of(index)
     num = 400
-    model = tuple(array[:num] for array in model)
-    meant, other = p.low[:num], np.roll(p.low, 1, 0)[:num]
+    p = jax.tree.map(lambda array: array[:num], problems)
+    model = (p.transition, p.reward)
+    meant, other = p.low, np.roll(problems.low, 1, 0)[:num]
     weight = np.linspace(0.0, 0.5, len(meant))[:, None, None, None]
     executed = (1.0 - weight) * meant + weight * other
     span = np.ptp(model[1], axis=(-2, -1))
@@ -173,14 +173,16 @@ def test_theorem_2_bounds_optimal_values(index):
         again, _ = tabular.optimal_hierarchical_value(*model, executed, k, gamma)
         assert (best >= value - 1e-10).all() and (best >= again - 1e-10).all()
 
-        common = mismatch.agreement(model[0], policy, meant, k)
+        common = mismatch.agreement(p.replace(flat=policy), k)
         imitation = np.clip(1.0 - common.max(-2), 0.0, 1.0).max(-1)
         limit = bounds.value_gap_bound(imitation, k, gamma, reward_span=span)
         assert ((best - value).max(-1) <= limit + 1e-10).all()
 
         alone = np.ones((len(meant), meant.shape[-2], 1))
         apart = [
-            mismatch.path_total_variation(model[0], meant[:, g], executed[:, [g]], alone, k)
+            mismatch.path_total_variation(
+                p.replace(flat=meant[:, g], low=executed[:, [g]], high=alone), k
+            )
             for g in range(meant.shape[1])
         ]
         slip = np.minimum(np.max(apart, (0, 2)), 1.0)
