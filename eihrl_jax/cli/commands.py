@@ -100,7 +100,8 @@ def value_gap() -> Command:
         print(value_gaps.markdown(gaps), end="")
         print(f"written to {options.out}")
 
-    return Command(main, gap_config.ValueGapConfig)
+    earlier = {("", "--walking-episodes"): "--full-episodes"}
+    return Command(main, gap_config.ValueGapConfig, earlier=earlier)
 
 
 def benchmark() -> Command:

@@ -23,7 +23,7 @@ class ValueGapConfig:
       reference: noise level that the others are compared with, units.
       robots: robots with shipped low levels, which walk.
       episodes: of the oracle, per maze and noise level.
-      walking_episodes: per maze and walking robot.
+      full_episodes: of the full hierarchy, per maze and robot.
       gamma: discount per decision; the high level's preset `best` has 0.94.
       seed: of the random numbers.
       out: folder of the results; must be new or empty.
@@ -48,7 +48,7 @@ class ValueGapConfig:
     reference: Annotated[float, limits.Range(above=0.0, high=base.CELL)] = base.SIGMA
     robots: tuple[str, ...] = ("point", "ant")
     episodes: Annotated[int, limits.Range(2, 1_000_000)] = 2_000
-    walking_episodes: Annotated[int, limits.Range(2, 1_000_000)] = 500
+    full_episodes: Annotated[int, limits.Range(2, 1_000_000)] = 500
     gamma: Annotated[float, limits.Range(0.0, below=1.0)] = 0.94
     seed: limits.Seed = 0
     out: pathlib.Path = pathlib.Path("runs/value-gap")

@@ -88,7 +88,7 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
         gaps += _gaps(options, chosen, "oracle", sigma, baseline, found, delta)
     for name, (env, law) in walkers.items():
         title = f"{name}, walking"
-        found = _values(options, env, high, chosen, options.walking_episodes, title)
+        found = _values(options, env, high, chosen, options.full_episodes, title)
         delta = displacement.total_variation(law, reference)
         gaps += _gaps(options, chosen, name, None, baseline, found, delta)
     return gaps

@@ -16,7 +16,7 @@ def compared(tmp_path_factory):
         sigmas=(0.3, 0.31),
         robots=("point",),
         episodes=64,
-        walking_episodes=16,
+        full_episodes=16,
         out=out,
     )
     return options, value_gaps.compare(options)
