@@ -27,12 +27,12 @@ class BaselineConfig:
       goals: where they lie in training: own: where the maze has them; anywhere: in each episode in
         another cell that can be reached, as in the released training of HIRO, HRAC and HIGL.
         Evaluations are always of the maze's own.
-      robot: that walks.
+      robot: which robot is controlled.
       engine: "mujoco" for the C engine on the processor, "mjx" for JAX on an accelerator.
-      num_envs: robots that walk at the same time.
+      num_envs: environments that run at the same time, one robot in each.
       num_steps: control steps of all environments together, after which the run ends with the row
         of metrics that it is in.
-      log_rounds: rounds of walking and learning per row of metrics.
+      log_rounds: rounds of acting and learning per row of metrics.
       evaluate_every: rows of metrics between evaluations.
       checkpoint_every: rows of metrics between checkpoints.
       num_eval_episodes: episodes per evaluation, without exploration.
@@ -61,10 +61,10 @@ class FlatConfig(BaselineConfig):
     """Flat DroQ: one level, from where the robot and its goal are to its controls.
 
     Attributes:
-      warmup_steps: first control steps of all environments, with random controls.
+      warmup_steps: first control steps of all environments, with uniform controls.
       iterations_per_round: control steps of each environment per round.
       updates_per_step: critic updates per control step.
-      capacity: transitions that the replay memory holds, a multiple of `num_envs`.
+      capacity: transitions that the replay holds, a multiple of `num_envs`.
       learner: hyper-parameters of DroQ.
     """
 

@@ -26,9 +26,9 @@ class EvaluateConfig:
     Attributes:
       mazes: names (random, u, s, spiral, g1, g2, g3) or text files; default: Table 1 of the paper.
       robot: point, ant, swimmer, humanoid or description files (docs/robots.md).
-      movement: oracle: the simulator moves the torso; full: the robot walks with its low level.
+      movement: oracle: the simulator moves the torso; full: the robot itself, with a low level.
       high: run folders, policy folders or names of shipped policies; uniform: uniform directions.
-        A baseline's run folder stands for the whole baseline, which only walks.
+        A baseline's run folder stands for the whole baseline, which has full movement only.
       low: low level of each robot for full movement, like `high`; none: the robots' shipped ones.
       reward: of the task, in which returns are counted; with dense reward episodes last until their
         time limit (paper, D).
@@ -46,10 +46,10 @@ class EvaluateConfig:
       heatmaps: draw where the robot was, one picture per maze and agent.
     """
 
-    mazes: Annotated[tuple[str, ...], limits.Distinct()] = ("random", "g1", "g2", "g3")
-    robot: Annotated[tuple[str, ...], limits.Distinct()] = ("ant",)
-    movement: Annotated[tuple[base.MovementName, ...], limits.Distinct()] = base.MOVEMENTS
-    high: Annotated[tuple[str, ...], limits.Distinct()] = ("best-random-0",)
+    mazes: limits.Several[str] = ("random", "g1", "g2", "g3")
+    robot: limits.Several[str] = ("ant",)
+    movement: limits.Several[base.MovementName] = base.MOVEMENTS
+    high: limits.Several[str] = ("best-random-0",)
     low: tuple[str, ...] = ()
     reward: base.Reward = "sparse"
     episodes: limits.UpToMillion = 500

@@ -139,8 +139,8 @@ class HessConfig(baselines.BaselineConfig):
 
     Attributes:
       period: c, control steps per subgoal.
-      capacity: episodes that the memory holds, a multiple of `num_envs`.
-      high_capacity: subgoals in the manager's memory.
+      capacity: episodes that the replay holds, a multiple of `num_envs`.
+      high_capacity: subgoals in the manager's replay.
       random_steps: first control steps, in which the manager's subgoals are drawn uniformly.
       costs_time: whether each control step costs the manager 1, which makes rewards of 1 and 0
         those of 0 and -1 of the released code; where they are sparse its targets are clipped to

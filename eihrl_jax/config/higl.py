@@ -46,7 +46,7 @@ class Td3:
 
 @limits.dataclass
 class Adjacency:
-    """HRAC's adjacency network, which learns how far apart places are in control steps.
+    """HRAC's adjacency network, which learns how far apart positions are in control steps.
 
     Attributes:
       steps: positions at most so many control steps apart are adjacent; HRAC's and HIGL's numbers
@@ -54,10 +54,10 @@ class Adjacency:
       hidden: widths of the hidden layers.
       num_features: size of the embedding.
       learning_rate: of Adam.
-      near: embeddings of adjacent places are drawn nearer than this.
-      far: embeddings of other places are pushed farther than this.
-      batch_size: pairs of places per update.
-      epochs: passes over all pairs of visited places per fit.
+      near: embeddings of adjacent positions are drawn nearer than this.
+      far: embeddings of other positions are pushed farther than this.
+      batch_size: pairs of positions per update.
+      epochs: passes over all pairs of visited positions per fit.
       max_updates: most updates per fit.
       period: control steps of all environments between fits.
     """
@@ -90,12 +90,12 @@ class Landmarks:
         released, or once per round.
       merge_radius: novel landmarks nearer than this to a newer visit, or to a more novel one that
         is as new, are dropped, units.
-      novelty_hidden: widths of the hidden layers of the networks that tell novelty.
+      novelty_hidden: widths of the hidden layers of the networks that measure novelty.
       novelty_rate: learning rate of the one that predicts the other.
       first_step: control steps of all environments before which there is no landmark.
       cutoff: least value of an edge; HIGL's -38, made for cells of 4 units.
       near: value of a goal that is near enough to be followed itself; released for goals that are
-        walked about in, where landmarks come to lie.
+        crossed on the way, where landmarks come to lie.
       num_first: nearest landmarks, among which the first one to go to is chosen; those farther off
         lie beyond the cutoff as a rule, and the released code looks at all of them.
       heat: inverse temperature of the softmax that stands for the best path.
@@ -142,15 +142,15 @@ class HiglConfig(baselines.BaselineConfig):
         those of 0 and -1 of the released code. Else the guidance outweighs a goal a hundred times.
       reward_scale: of the manager's reward.
       num_candidates: subgoals among which the off-policy correction chooses; 1: no correction.
-      capacity: control steps in the controller's memory.
-      high_capacity: subgoals in the manager's memory.
+      capacity: control steps in the controller's replay.
+      high_capacity: subgoals in the manager's replay.
       manager: numbers of the upper level; its actions are displacements in units.
       controller: numbers of the lower level.
       adjacency: of the adjacency network.
       landmarks: of the landmarks.
       is_limit_terminal: whether the time limit is an end without a value, and every end one for the
         controller too, as in the released code; else the controller's task never ends.
-      stores_moved_subgoal: whether the controller's memory holds the subgoal of after the step
+      stores_moved_subgoal: whether the controller's replay holds the subgoal of after the step
         while the reward is that of before it, as in the released code.
     """
 

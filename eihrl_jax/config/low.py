@@ -103,18 +103,18 @@ class LowConfig:
       run: run folder, made by the run.
       resume: continue the run that the folder holds.
       start_from: run folder of the same robot, input, networks, capacity and number of
-        environments, with whose learner and memory this run begins; none: it begins anew.
-      robot: which robot learns to walk.
+        environments, with whose learner and replay this run begins; none: it begins anew.
+      robot: which robot is trained.
       engine: "mujoco" for the C engine on the processor, "mjx" for JAX on an accelerator.
-      num_envs: robots that walk at the same time.
+      num_envs: environments that run at the same time, one robot in each.
       num_iterations: vector steps of the run; env steps divided by `num_envs`.
-      warmup_iterations: first vector steps, with random actions and without updates.
+      warmup_iterations: first vector steps, with uniform actions and without updates.
       updates_per_iteration: critic updates per vector step.
-      capacity: transitions that the replay memory holds, a multiple of `num_envs`.
+      capacity: transitions that the replay holds, a multiple of `num_envs`.
       relabel: look at drawn steps as if a random direction had been asked for: "direction" since
         the subgoal began, "restart" just now.
       relabel_share: share of the drawn steps that are looked at so.
-      num_rooms: random rooms to walk in, every second one with inner walls; 0: open floor alone.
+      num_rooms: random rooms to train in, every second one with inner walls; 0: open floor alone.
       episode_steps: control steps per episode.
       ends_at_fall: a fall ends the episode; else the robot may learn to get up again.
       low_input: how observations become the network's input.

@@ -20,7 +20,7 @@ class MeasureConfig:
       robot: which robot.
       low: its low level: run folder, policy folder or shipped name; none: the shipped one.
       num_subgoals: about this many per surrounding; those begun lying down don't count.
-      num_envs: robots that walk at the same time.
+      num_envs: environments that run at the same time, one robot in each.
       engine: physics engine.
       sigma: standard deviation in units of the normal law to compare with.
       num_postures: postures recorded for the high level's pictures.

@@ -23,7 +23,7 @@ def low_best() -> low_config.LowConfig:
 
     The world is turned into the direction's frame and the robot renamed to face it; the robot knows
     how far it has come and how much time is left, is paid for coming nearer to the point one cell
-    ahead, and half of its rooms have inner walls. Many robots walk at once.
+    ahead, and half of its rooms have inner walls. Many environments run at once.
     """
     return low_config.LowConfig(
         preset="best",
@@ -116,7 +116,7 @@ def high_paper() -> high_config.HighConfig:
 
 
 def high_best() -> high_config.HighConfig:
-    """The high level with a memory: it plans on the map of what it has seen.
+    """The high level that remembers: it plans on the map of what it has seen.
 
     Five cells are in view at a time. What hasn't been seen attracts it from the start, and a low
     entropy bonus doesn't undo that before a goal is found. Short windows give many updates in

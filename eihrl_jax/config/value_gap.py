@@ -11,8 +11,8 @@ from eihrl_jax.config import limits
 class ValueGapConfig:
     """Measures how a high level's value changes with the robot's noise, and what bounds say.
 
-    A trained high level is moved through mazes by the oracle with one noise level after another,
-    and walks in them with shipped low levels. Each value is compared with that under the noise
+    A trained high level acts in mazes with oracle movement at one noise level after another, then
+    in the full hierarchy with shipped low levels. Each value is compared with that under the noise
     with which it was trained; beside it stands the corrected bound. Writes gap.json, gap.md and
     gap.png.
 
@@ -21,7 +21,7 @@ class ValueGapConfig:
       mazes: names or text files, with one goal each.
       sigmas: noise levels of oracle movement: standard deviation per axis, units.
       reference: noise level that the others are compared with, units.
-      robots: robots with shipped low levels, which walk.
+      robots: robots of the full hierarchy, with their shipped low levels.
       episodes: of the oracle, per maze and noise level.
       full_episodes: of the full hierarchy, per maze and robot.
       gamma: discount per decision; the high level's preset `best` has 0.94.
@@ -30,7 +30,7 @@ class ValueGapConfig:
     """
 
     high: str = "best-random-0"
-    mazes: Annotated[tuple[str, ...], limits.Distinct()] = ("random", "g1")
+    mazes: limits.Several[str] = ("random", "g1")
     sigmas: tuple[Annotated[float, limits.Range(0.0, base.CELL)], ...] = (
         0.0,
         0.1,
