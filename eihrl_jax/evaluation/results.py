@@ -74,8 +74,7 @@ class Episodes(struct.PyTreeNode):
     def outcomes(self, num_goals: int) -> list[str]:
         """Names each episode's outcome, one of `OUTCOMES`."""
         conditions = [self.achieved == num_goals, self.has_fallen, self.is_unstable]
-        index = np.select(conditions, [0, 1, 2], default=3)
-        return [OUTCOMES[i] for i in index]
+        return np.select(conditions, OUTCOMES[:-1], default=OUTCOMES[-1]).tolist()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -147,20 +146,19 @@ def summarise(
     num_decisions: int,
 ) -> Cell:
     """Summarises the episodes of one agent in one maze."""
-    seeds = tuple(int(seed) for seed in dict.fromkeys(episodes.seed.tolist()))
+    achieved, seeds = episodes.achieved, tuple(dict.fromkeys(episodes.seed.tolist()))
     counts = collections.Counter(episodes.outcomes(num_goals))
-    solved = episodes.decisions[episodes.achieved == num_goals]
+    solved = episodes.decisions[achieved == num_goals]
+
     return Cell(
         maze=maze,
         agent=agent,
         seeds=seeds,
-        num_episodes=len(episodes.achieved),
+        num_episodes=len(achieved),
         num_goals=num_goals,
         num_decisions=num_decisions,
-        success=statistics.success(episodes.achieved, num_goals),
-        seed_rates=tuple(
-            float(episodes.achieved[episodes.seed == seed].mean() / num_goals) for seed in seeds
-        ),
+        success=statistics.success(achieved, num_goals),
+        seed_rates=tuple(float(achieved[episodes.seed == s].mean() / num_goals) for s in seeds),
         return_mean=float(episodes.returns.mean()),
         decisions_mean=float(episodes.decisions.mean()),
         decisions_solved=float(solved.mean()) if len(solved) else None,

@@ -25,7 +25,7 @@ NOTE = (
 """What the numbers of the tables are."""
 
 _ANY_WIDTH = 10_000
-_MOVEMENT_NAMES = {"oracle": "oracle movement", "full": "walking"}
+MOVEMENT_NAMES = {"oracle": "oracle movement", "full": "walking"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,30 +68,28 @@ def spread(over: statistics.RunSpread) -> str:
 def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns one general table for each agent."""
     header = ["maze", "success %", "95 %", "return", "decisions", "falls", "episodes"]
-    found = []
-    for agent in dict.fromkeys(cell.agent for cell in cells):
-        rows = [
-            [
-                cell.maze,
-                percent(cell.success),
-                interval(cell.success),
-                f"{cell.return_mean:.2f}",
-                f"{cell.decisions_mean:.1f} / {cell.num_decisions}",
-                str(cell.num_falls) if agent.movement == "full" else "-",
-                str(cell.num_episodes),
-            ]
-            for cell in cells
-            if cell.agent == agent
+    rows: dict[results.Agent, list[list[str]]] = {}
+    for cell in cells:
+        row = [
+            cell.maze,
+            percent(cell.success),
+            interval(cell.success),
+            f"{cell.return_mean:.2f}",
+            f"{cell.decisions_mean:.1f} / {cell.num_decisions}",
+            str(cell.num_falls) if cell.agent.movement == "full" else "-",
+            str(cell.num_episodes),
         ]
-        found.append(Table(_title(agent), header, rows))
-    return found
+        rows.setdefault(cell.agent, []).append(row)
+    return [Table(_title(agent), header, body) for agent, body in rows.items()]
 
 
 def _title(agent: results.Agent) -> str:
     """Describes an agent."""
     if _is_baseline(agent):
         return f"{agent.robot}, walking, {agent.high}"
-    moves = "oracle movement" if agent.low is None else f"walking with low level {agent.low}"
+    moves = MOVEMENT_NAMES[agent.movement]
+    if agent.low is not None:
+        moves += f" with low level {agent.low}"
     return f"{agent.robot}, {moves}, high level {agent.high}"
 
 
@@ -102,25 +100,37 @@ def _is_baseline(agent: results.Agent) -> bool:
 
 def _table1(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns the paper's Table 1 for each high level, the paper's figures below ours."""
-    found = []
-    for high in dict.fromkeys(cell.agent.high for cell in cells):
-        here = [c for c in cells if c.agent.high == high and c.maze in TABLE1_MAZES]
-        mazes = [name for name in TABLE1_MAZES if any(cell.maze == name for cell in here)]
-        rows = []
-        for agent in dict.fromkeys(cell.agent for cell in here):
-            by_maze = {cell.maze: cell.success for cell in here if cell.agent == agent}
-            label = f"{agent.robot}, {_MOVEMENT_NAMES[agent.movement]}"
-            rows.append([label, *(percent(by_maze[m]) if m in by_maze else "-" for m in mazes)])
-            bounds = {m: interval(success) for m, success in by_maze.items()}
-            rows.append(["  95 % interval", *(bounds.get(m, "-") for m in mazes)])
-            if agent.robot == "ant" and high != evaluate_config.UNIFORM and not _is_baseline(agent):
-                figures = paper.TABLE1[agent.movement]
-                published = [paper.percent(figures[m]) for m in mazes]
-                rows.append([f"  paper, {paper.NAMES[agent.movement]}", *published])
-        if rows:
-            header = ["success %", *(TABLE1_MAZES[name] for name in mazes)]
-            found.append(Table(f"Table 1, high level {high}", header, rows))
-    return found
+    success: dict[str, dict[results.Agent, dict[str, statistics.Success]]] = {}
+    for cell in cells:
+        if cell.maze in TABLE1_MAZES:
+            agents = success.setdefault(cell.agent.high, {})
+            agents.setdefault(cell.agent, {})[cell.maze] = cell.success
+
+    tables = []
+    for high, agents in success.items():
+        mazes = [m for m in TABLE1_MAZES if any(m in by_maze for by_maze in agents.values())]
+        header = ["success %", *(TABLE1_MAZES[name] for name in mazes)]
+        rows = [row for agent, by_maze in agents.items() for row in _rows1(agent, by_maze, mazes)]
+        tables.append(Table(f"Table 1, high level {high}", header, rows))
+    return tables
+
+
+def _rows1(
+    agent: results.Agent, success: Mapping[str, statistics.Success], mazes: Sequence[str]
+) -> list[list[str]]:
+    """Returns one agent's rows of Table 1: its rates, their intervals, and the paper's rates."""
+    rates = {maze: percent(rate) for maze, rate in success.items()}
+    bounds = {maze: interval(rate) for maze, rate in success.items()}
+    rows = [
+        [f"{agent.robot}, {MOVEMENT_NAMES[agent.movement]}", *(rates.get(m, "-") for m in mazes)],
+        ["  95 % interval", *(bounds.get(m, "-") for m in mazes)],
+    ]
+    # The paper's Table 1 is of the ant, moved by a high level that has learned.
+    if agent.robot == "ant" and agent.high != evaluate_config.UNIFORM and not _is_baseline(agent):
+        published = paper.TABLE1[agent.movement]
+        label = f"  paper, {paper.NAMES[agent.movement]}"
+        rows.append([label, *(paper.percent(published[maze]) for maze in mazes)])
+    return rows
 
 
 def over_runs(
@@ -201,28 +211,24 @@ def markdown(cells: Sequence[results.Cell]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def of_subgoals(found: Mapping[str, subgoals.Statistics], robot: str) -> rich.table.Table:
+def of_subgoals(measured: Mapping[str, subgoals.Statistics], robot: str) -> rich.table.Table:
     """Returns the table of a low level's statistics by surrounding, for a `rich` console."""
-
-    def per(write: Callable[[subgoals.Statistics], str]) -> list[str]:
-        return [write(statistics) for statistics in found.values()]
-
-    rows = [
-        ("subgoals", per(lambda s: f"{s.num_subgoals:,}")),
-        ("  with a wall in the way, %", per(lambda s: f"{100 * s.blocked:.0f}")),
-        ("displacement along, units", per(lambda s: f"{s.along_mean:.3f}")),
-        ("  standard deviation", per(lambda s: f"{s.along_std:.3f}")),
-        ("  distance to normal law", per(lambda s: f"{s.along_distance:.3f}")),
-        ("displacement sideways, units", per(lambda s: f"{s.lateral_mean:.3f}")),
-        ("  standard deviation", per(lambda s: f"{s.lateral_std:.3f}")),
-        ("  distance to normal law", per(lambda s: f"{s.lateral_distance:.3f}")),
-        ("falls per 1,000 subgoals", per(lambda s: f"{s.falls:.2f}")),
-        ("  stood again, %", per(lambda s: _or_dash(100 * s.recovered, ".0f"))),
-        ("  after seconds", per(lambda s: _or_dash(s.recovery_seconds, ".1f"))),
-        ("breakdowns of the simulation", per(lambda s: f"{s.breakdowns:.2f}")),
-    ]
-    header = [robot, *found]
-    return _shown(Table("", header, [[name, *values] for name, values in rows]))
+    rows: tuple[tuple[str, Callable[[subgoals.Statistics], str]], ...] = (
+        ("subgoals", lambda s: f"{s.num_subgoals:,}"),
+        ("  with a wall in the way, %", lambda s: f"{100 * s.blocked:.0f}"),
+        ("displacement along, units", lambda s: f"{s.along_mean:.3f}"),
+        ("  standard deviation", lambda s: f"{s.along_std:.3f}"),
+        ("  distance to normal law", lambda s: f"{s.along_distance:.3f}"),
+        ("displacement sideways, units", lambda s: f"{s.lateral_mean:.3f}"),
+        ("  standard deviation", lambda s: f"{s.lateral_std:.3f}"),
+        ("  distance to normal law", lambda s: f"{s.lateral_distance:.3f}"),
+        ("falls per 1,000 subgoals", lambda s: f"{s.falls:.2f}"),
+        ("  stood again, %", lambda s: _or_dash(100 * s.recovered, ".0f")),
+        ("  after seconds", lambda s: _or_dash(s.recovery_seconds, ".1f")),
+        ("breakdowns of the simulation", lambda s: f"{s.breakdowns:.2f}"),
+    )
+    body = [[name, *map(write, measured.values())] for name, write in rows]
+    return _shown(Table("", [robot, *measured], body))
 
 
 def _or_dash(value: float, form: str) -> str:

@@ -6,6 +6,7 @@ about. Episodes have the same random numbers under every noise level, so gaps ar
 """
 
 import dataclasses
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +23,9 @@ from eihrl_jax.theory import bounds, displacement
 ORACLE_ROBOT = "ant"
 """Robot whose body and postures the oracle moves."""
 
+Values: TypeAlias = dict[str, Float[np.ndarray, "2 _"]]
+"""Success and discounted success of every episode, by maze."""
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Gap:
@@ -29,8 +33,8 @@ class Gap:
 
     Attributes:
       maze: its label.
-      movement: "oracle", or the name of the robot that walks.
-      sigma: standard deviation per axis of oracle movement, units; None: walking.
+      movement: "oracle", or the name of the robot of the full hierarchy.
+      sigma: standard deviation per axis of oracle movement, units; None: the full hierarchy.
       success: share of the episodes that reached the goal.
       success_gap: that of the reference minus it.
       success_margin: half the 95 % interval of `success_gap`.
@@ -72,25 +76,26 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
             raise base.UserError(f"mazes: {name!r} has {int(maze.num_goals)} goals, must have 1")
     high = loading.load_high(options.high)
     stacked = mazes.stack(list(chosen.values()))
-    walkers = {name: (_walking(stacked, high, name), shipped_law(name)) for name in options.robots}
+    # Before the first episode, so that what can't be loaded is named at once.
+    full = {name: _full_env(stacked, high, name) for name in options.robots}
+    laws = {name: shipped_law(name) for name in options.robots}
 
-    def move(sigma: float) -> dict[str, Float[np.ndarray, "2 E"]]:
-        env = _oracle(stacked, high, sigma)
-        return _values(options, env, high, chosen, options.episodes, f"oracle, sigma {sigma:g}")
+    oracle: dict[float, Values] = {}
+    for sigma in dict.fromkeys((options.reference, *options.sigmas)):
+        env, title = _oracle_env(stacked, high, sigma), f"oracle, sigma {sigma:g}"
+        oracle[sigma] = _values(options, env, high, chosen, options.episodes, title)
+    reference, law = oracle[options.reference], _oracle_law(options.reference)
 
-    reference = _oracle_law(options.reference)
-    baseline = move(options.reference)
     gaps: list[Gap] = []
     for sigma in options.sigmas:
-        found = move(sigma)
         # Without noise the law is a point, which no density comes near.
-        delta = displacement.total_variation(_oracle_law(sigma), reference) if sigma else 1.0
-        gaps += _gaps(options, chosen, "oracle", sigma, baseline, found, delta)
-    for name, (env, law) in walkers.items():
+        delta = displacement.total_variation(_oracle_law(sigma), law) if sigma else 1.0
+        gaps += _gaps(options, chosen, "oracle", sigma, reference, oracle[sigma], delta)
+    for name, env in full.items():
         title = f"{name}, walking"
-        found = _values(options, env, high, chosen, options.full_episodes, title)
-        delta = displacement.total_variation(law, reference)
-        gaps += _gaps(options, chosen, name, None, baseline, found, delta)
+        values = _values(options, env, high, chosen, options.full_episodes, title)
+        delta = displacement.total_variation(laws[name], law)
+        gaps += _gaps(options, chosen, name, None, reference, values, delta)
     return gaps
 
 
@@ -101,25 +106,24 @@ def shipped_law(robot: str) -> displacement.Displacement:
       base.UserError: the robot has none.
     """
     _, meta = policies.load(policies.find(robot, "low"), kind="low", robot=robot)
-    found = meta["statistics"]
-    return displacement.Displacement.of(
-        found["along_mean"], found["along_std"], found["lateral_mean"], found["lateral_std"]
-    )
+    names = ("along_mean", "along_std", "lateral_mean", "lateral_std")
+    return displacement.Displacement.of(*(meta["statistics"][name] for name in names))
 
 
 def _oracle_law(sigma: float) -> displacement.Displacement:
+    """Returns the displacement law of oracle movement; its density exists for a positive sigma."""
     return displacement.Displacement.of(base.CELL, max(sigma, 1e-12))
 
 
-def _oracle(stacked: mazes.Maze, high: loading.HighLevel, sigma: float) -> rollouts.Recordable:
+def _oracle_env(stacked: mazes.Maze, high: loading.HighLevel, sigma: float) -> rollouts.Recordable:
     """Returns oracle movement with one noise level."""
     robot = robots.load(ORACLE_ROBOT)
     gait = subgoals.Gait(base.CELL, sigma, postures.for_robot(robot))
     return loading.oracle_env(robot, stacked, high.view, gait=gait)
 
 
-def _walking(stacked: mazes.Maze, high: loading.HighLevel, name: str) -> rollouts.Recordable:
-    """Returns a robot that walks with its shipped low level."""
+def _full_env(stacked: mazes.Maze, high: loading.HighLevel, name: str) -> rollouts.Recordable:
+    """Returns the full hierarchy with a robot's shipped low level."""
     robot = robots.load(name)
     engine = engines.make(robot, "mujoco")
     return loading.full_env(engine, stacked, high.view, loading.load_low(name, robot))
@@ -132,13 +136,14 @@ def _values(
     chosen: dict[str, mazes.Maze],
     num_episodes: int,
     title: str,
-) -> dict[str, Float[np.ndarray, "2 E"]]:
-    """Returns success and discounted success of every episode, by maze."""
+) -> Values:
+    """Runs the episodes of one movement."""
     plan = rollouts.Plan(mazes=chosen, seeds=(options.seed,), num_episodes=num_episodes)
     with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
-        found = rollouts.Runner(env, plan).run(high.policy, progress)
+        by_maze = rollouts.Runner(env, plan).run(high.policy, progress)
+
     values = {}
-    for name, rollout in found.items():
+    for name, rollout in by_maze.items():
         success = (np.asarray(rollout.episodes.achieved) > 0).astype(float)
         decisions = np.asarray(rollout.episodes.decisions)
         values[name] = np.stack([success, success * options.gamma ** (decisions - 1)])
@@ -150,31 +155,34 @@ def _gaps(
     chosen: dict[str, mazes.Maze],
     movement: str,
     sigma: float | None,
-    baseline: dict[str, Float[np.ndarray, "2 E"]],
-    found: dict[str, Float[np.ndarray, "2 F"]],
+    reference: Values,
+    values: Values,
     delta: float,
 ) -> list[Gap]:
-    """Compares one movement with the reference in every maze; oracle episodes are paired."""
+    """Compares one movement with the reference in every maze."""
     gaps = []
-    for name, values in found.items():
-        means = baseline[name].mean(1) - values.mean(1)
+    for name, maze in chosen.items():
+        ours, theirs = values[name], reference[name]
+        # The oracle's episodes are paired; those with physics draw other random numbers.
         if sigma is not None:
-            variance = (baseline[name] - values).var(1) / values.shape[1]
+            variance = (theirs - ours).var(1) / ours.shape[1]
         else:
-            variance = sum(each.var(1) / each.shape[1] for each in (baseline[name], values))
-        margins = 1.96 * np.sqrt(variance)
-        limit = int(chosen[name].num_decisions)
+            variance = theirs.var(1) / theirs.shape[1] + ours.var(1) / ours.shape[1]
+        success_gap, value_gap = map(float, theirs.mean(1) - ours.mean(1))
+        success_margin, value_margin = map(float, 1.96 * np.sqrt(variance))
+
+        limit = int(maze.num_decisions)
         gaps.append(
             Gap(
                 maze=name,
                 movement=movement,
                 sigma=sigma,
-                success=float(values[0].mean()),
-                success_gap=float(means[0]),
-                success_margin=float(margins[0]),
+                success=float(ours[0].mean()),
+                success_gap=success_gap,
+                success_margin=success_margin,
                 success_bound=float(displacement.success_gap_bound(delta, limit)),
-                value_gap=float(means[1]),
-                value_margin=float(margins[1]),
+                value_gap=value_gap,
+                value_margin=value_margin,
                 value_bound=float(bounds.value_gap_bound(delta, 1, options.gamma, value_span=1.0)),
                 total_variation=delta,
             )

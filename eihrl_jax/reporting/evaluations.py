@@ -7,23 +7,24 @@
     <agent>-heatmaps.png        all mazes on one scale
     <agent>-<maze>.gif          an episode
 
-An agent is called by its robot, movement and high level, e.g. `ant-full-uniform`.
+An agent's name consists of its robot, movement and high level, e.g. `ant-full-uniform`.
 """
 
+import collections
 import csv
+import itertools
 import json
 import pathlib
+from collections.abc import Iterator
 
 import numpy as np
 
-from eihrl_jax import mazes
 from eihrl_jax.config import codec
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.drawing import animation, heatmap
 from eihrl_jax.evaluation import evaluate as evaluation_lib
 from eihrl_jax.evaluation import recording, results, rollouts, tables
 from eihrl_jax.physics import kinematics, scene
-from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import folders, versions
 
 _EPISODE_COLUMNS = (
@@ -58,94 +59,74 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
             "seconds": seconds,
         }
         evaluation = results.Evaluation(about=about, cells=tuple(cells))
-        write_results(options.out, evaluation)
+        results.save(options.out / "eval.json", evaluation)
+        (options.out / "tables.md").write_text(tables.markdown(evaluation.cells))
     return evaluation
 
 
 def _write(evaluated: evaluation_lib.Evaluated, options: evaluate_config.EvaluateConfig) -> None:
     """Writes the episodes of one agent, and draws what the options ask for."""
-    agent, found = evaluated.agent, evaluated.rollouts
-    write_episodes(options.out, agent, found, evaluated.mazes)
+    _write_episodes(options.out / "episodes.csv", evaluated)
     if options.heatmaps:
-        draw_heatmaps(options.out, agent, found, evaluated.mazes)
-    if options.animate == "all" or (options.animate == "one" and evaluated.is_last):
-        names = list(found) if options.animate == "all" else list(found)[:1]
-        for name in names:
-            animate(options.out, agent, evaluated.robot, found[name], name)
+        _draw_heatmaps(options.out, evaluated)
+
+    names = list(evaluated.rollouts)
+    num = {"all": len(names), "one": int(evaluated.is_last), "none": 0}[options.animate]
+    for name in names[:num]:
+        _animate(options.out, evaluated, name)
 
 
-def title(agent: results.Agent, maze: str) -> str:
-    """Returns how pictures call an agent in a maze."""
-    name = tables.TABLE1_MAZES.get(maze, maze)
-    moves = "walking" if agent.movement == "full" else "oracle movement"
-    return f"{name} · {agent.robot}, {moves}"
-
-
-def write_results(out: pathlib.Path, evaluation: results.Evaluation) -> None:
-    """Writes `eval.json` and `tables.md`."""
-    results.save(out / "eval.json", evaluation)
-    (out / "tables.md").write_text(tables.markdown(evaluation.cells))
-
-
-def write_episodes(
-    out: pathlib.Path,
-    agent: results.Agent,
-    found: dict[str, rollouts.Rollout],
-    chosen: dict[str, mazes.Maze],
-) -> None:
-    """Appends the episodes of one agent to `episodes.csv`."""
-    path = out / "episodes.csv"
-    is_new = not path.exists()
+def _write_episodes(path: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:
+    """Appends the episodes of one agent, below a header if there are none yet."""
+    agent, is_new = evaluated.agent, not path.exists()
     with path.open("a", newline="") as file:
         writer = csv.writer(file)
         if is_new:
             writer.writerow(_EPISODE_COLUMNS)
-        for maze, rollout in found.items():
-            episodes, num_goals = rollout.episodes, int(chosen[maze].num_goals)
-            outcomes = episodes.outcomes(num_goals)
-            numbers = {seed: 0 for seed in episodes.seed.tolist()}
-            for i, outcome in enumerate(outcomes):
-                seed = int(episodes.seed[i])
-                row = [agent.robot, agent.movement, agent.high, agent.low or ""]
-                row += [maze, seed, numbers[seed], int(episodes.achieved[i]), num_goals]
-                row += [float(episodes.returns[i]), int(episodes.decisions[i])]
-                writer.writerow([*row, int(episodes.has_fallen[i]), outcome])
-                numbers[seed] += 1
+
+        for maze, rollout in evaluated.rollouts.items():
+            episodes, num_goals = rollout.episodes, int(evaluated.mazes[maze].num_goals)
+            columns = (
+                *(episodes.seed.tolist(), episodes.achieved.tolist(), episodes.returns.tolist()),
+                *(episodes.decisions.tolist(), episodes.has_fallen.tolist()),
+                episodes.outcomes(num_goals),
+            )
+            numbers = collections.defaultdict[int, Iterator[int]](itertools.count)  # by seed
+            for seed, achieved, paid, decisions, fell, outcome in zip(*columns, strict=True):
+                row = [agent.robot, agent.movement, agent.high, agent.low or "", maze, seed]
+                row += [next(numbers[seed]), achieved, num_goals, paid, decisions, int(fell)]
+                writer.writerow([*row, outcome])
 
 
-def draw_heatmaps(
-    out: pathlib.Path,
-    agent: results.Agent,
-    found: dict[str, rollouts.Rollout],
-    chosen: dict[str, mazes.Maze],
-) -> None:
+def _draw_heatmaps(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:
     """Draws where one agent has been: one picture per maze, and one of all."""
-    visits = [
-        heatmap.Visits(title(agent, name), chosen[name], rollout.share)
-        for name, rollout in found.items()
-    ]
-    for name, item in zip(found, visits, strict=True):
+    agent = evaluated.agent
+    who = f"{agent.robot}, {tables.MOVEMENT_NAMES[agent.movement]}"
+    visits = {
+        name: heatmap.Visits(f"{_label(name)} · {who}", evaluated.mazes[name], rollout.share)
+        for name, rollout in evaluated.rollouts.items()
+    }
+    for name, item in visits.items():
         heatmap.save(out / f"{agent.file_name}-{name}-heatmap.png", item)
     if len(visits) > 1:
-        heatmap.save_together(out / f"{agent.file_name}-heatmaps.png", visits)
+        heatmap.save_together(out / f"{agent.file_name}-heatmaps.png", list(visits.values()))
 
 
-def animate(
-    out: pathlib.Path,
-    agent: results.Agent,
-    robot: robot_lib.Robot,
-    rollout: rollouts.Rollout,
-    maze: str,
-) -> None:
+def _animate(out: pathlib.Path, evaluated: evaluation_lib.Evaluated, maze: str) -> None:
     """Animates a typical episode of one agent in one maze."""
-    capsules = kinematics.capsules(scene.build(robot))
+    robot = evaluated.robot
     animation.save(
-        out / f"{agent.file_name}-{maze}.gif",
-        typical(rollout),
-        capsules,
-        title=tables.TABLE1_MAZES.get(maze, maze),
+        out / f"{evaluated.agent.file_name}-{maze}.gif",
+        typical(evaluated.rollouts[maze]),
+        kinematics.capsules(scene.build(robot)),
+        title=_label(maze),
         reach=robot.reach,
     )
+
+
+def _label(maze: str) -> str:
+    """Returns the name of a maze in pictures, the paper's where it has one."""
+    return tables.TABLE1_MAZES.get(maze, maze)
 
 
 def typical(rollout: rollouts.Rollout) -> recording.Recording:
