@@ -92,17 +92,6 @@ def each_of(name: str, values: Sequence[str], choices: Collection[str]) -> None:
         one_of(name, value, choices)
 
 
-def seeds(values: Sequence[int]) -> None:
-    """Checks the option `seeds`: numbers of 32 bits, at least one, none twice.
-
-    Raises:
-      UserError: they aren't.
-    """
-    distinct("seeds", values)
-    for value in values:
-        in_range("seeds", value, 0, 2**32 - 1)
-
-
 def divides(name: str, value: int, other_name: str, other: int) -> None:
     """Checks that `other` is a whole multiple of `value`.
 

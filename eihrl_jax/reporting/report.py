@@ -1,15 +1,15 @@
 """Puts everything that the paper reports on one page: `python -m experiments.report`."""
 
-import dataclasses
 import pathlib
+from typing import Annotated
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import limits
 from eihrl_jax.reporting import comparison, page, sections
 from eihrl_jax.runs import policies
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class ReportConfig:
     """Evaluates trained high levels, and writes report.html and tables.md beside the paper's.
 
@@ -32,22 +32,14 @@ class ReportConfig:
     """
 
     policies: pathlib.Path | None = None
-    parts: tuple[str, ...] = tuple(sections.PARTS)
-    movement: tuple[base.MovementName, ...] = base.MOVEMENTS
-    episodes: int = 500
-    slow_episodes: int = 100
-    num_rooms: int = 1_000
+    parts: limits.Several[Annotated[str, limits.OneOf(sections.PARTS)]] = tuple(sections.PARTS)
+    movement: limits.Several[base.MovementName] = base.MOVEMENTS
+    episodes: limits.UpToMillion = 500
+    slow_episodes: limits.UpToMillion = 100
+    num_rooms: Annotated[int, limits.Range(1, 100_000)] = 1_000
     ablations: tuple[pathlib.Path, ...] = ()
     baselines: pathlib.Path | None = None
     out: pathlib.Path = pathlib.Path("runs/report")
-
-    def __post_init__(self) -> None:
-        """Checks names and ranges."""
-        checks.each_of("parts", self.parts, tuple(sections.PARTS))
-        checks.each_of("movement", self.movement, base.MOVEMENTS)
-        checks.in_range("episodes", self.episodes, 1, 1_000_000)
-        checks.in_range("slow_episodes", self.slow_episodes, 1, 1_000_000)
-        checks.in_range("num_rooms", self.num_rooms, 1, 100_000)
 
 
 def main(config: ReportConfig) -> None:

@@ -5,14 +5,14 @@ import itertools
 import pathlib
 
 from eihrl_jax import base
-from eihrl_jax.config import checks, presets
 from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import limits, presets
 from eihrl_jax.evaluation import tables
 from eihrl_jax.reporting import evaluations, learning_curve
 from eihrl_jax.training import high
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class DemoConfig:
     """Trains the high level on the Random Square with oracle movement, then tests it unchanged.
 
@@ -26,13 +26,8 @@ class DemoConfig:
     """
 
     run: pathlib.Path | None = None
-    episodes: int = 500
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("episodes", self.episodes, 1, 1_000_000)
-        checks.in_range("seed", self.seed, 0, 2**32 - 1)
+    episodes: limits.UpToMillion = 500
+    seed: limits.Seed = 0
 
 
 def main(config: DemoConfig) -> None:

@@ -7,7 +7,6 @@ so leave the sources alone meanwhile.
 """
 
 import csv
-import dataclasses
 import pathlib
 import random
 import shlex
@@ -15,12 +14,13 @@ import shutil
 import subprocess
 import sys
 import time
+from typing import Annotated
 
 import jax
 import numpy as np
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import limits
 from eihrl_jax.runs import policies
 
 SHORT = {
@@ -43,7 +43,7 @@ SHORT = {
 """Options of a run that takes seconds and checkpoints all the time."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class KillConfig:
     """Kills a trainer at random moments, resumes it and compares with an undisturbed run.
 
@@ -56,14 +56,10 @@ class KillConfig:
     """
 
     trainer: policies.Kind = "high"
-    kills: int = 20
+    kills: Annotated[int, limits.Range(1, 10_000)] = 20
     options: str | None = None
     run: pathlib.Path = pathlib.Path("runs/kill_resume")
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("kills", self.kills, 1, 10_000)
 
 
 def main(options: KillConfig) -> None:

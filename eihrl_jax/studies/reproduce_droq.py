@@ -1,12 +1,12 @@
 """Repeats DroQ's published experiment: `python -m experiments.reproduce_droq --run runs/droq`."""
 
-import dataclasses
 import pathlib
+from typing import Annotated
 
 from eihrl_jax import robots
 from eihrl_jax.baselines import interface
 from eihrl_jax.config import baselines as baselines_config
-from eihrl_jax.config import checks
+from eihrl_jax.config import limits
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import wrappers
 from eihrl_jax.envs.published import forward_run
@@ -16,7 +16,7 @@ from eihrl_jax.training import baselines
 ANT = pathlib.Path(robots.__file__).parent / "assets" / "gym_ant.toml"
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class ReproduceConfig:
     """Lets Gym's ant learn to run with the settings of DroQ's released code.
 
@@ -33,15 +33,10 @@ class ReproduceConfig:
       resume: go on with the run that the folder holds.
     """
 
-    seed: int = 0
-    num_steps: int = 120_000
+    seed: limits.Seed = 0
+    num_steps: Annotated[int, limits.Range(1, 10_000_000)] = 120_000
     run: pathlib.Path = pathlib.Path("runs/droq-published")
     resume: bool = False
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("seed", self.seed, 0, 2**32 - 1)
-        checks.in_range("num_steps", self.num_steps, 1, 10_000_000)
 
 
 def main(config: ReproduceConfig) -> None:

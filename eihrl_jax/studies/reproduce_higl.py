@@ -2,19 +2,19 @@
 
 import dataclasses
 import pathlib
-from typing import Literal
+from typing import Annotated, Literal
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.baselines import interface
-from eihrl_jax.config import checks, presets
 from eihrl_jax.config import higl as higl_config
+from eihrl_jax.config import limits, presets
 from eihrl_jax.envs.published import u_maze
 from eihrl_jax.physics import engines
 from eihrl_jax.reporting import learning_curve
 from eihrl_jax.training import baselines
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@limits.dataclass
 class ReproduceConfig:
     """Trains HIGL, HRAC or HIRO in HIGL's own maze, an ant's U with cells of four units.
 
@@ -35,17 +35,11 @@ class ReproduceConfig:
 
     method: Literal["higl", "hrac", "hiro"] = "higl"
     reward: base.Reward = "sparse"
-    seed: int = 0
-    num_steps: int = 1_000_000
-    updates_per_step: float = 1.0
+    seed: limits.Seed = 0
+    num_steps: Annotated[int, limits.Range(1, 10_000_000)] = 1_000_000
+    updates_per_step: Annotated[float, limits.Range(above=0.0, high=10.0)] = 1.0
     run: pathlib.Path = pathlib.Path("runs/higl-published")
     resume: bool = False
-
-    def __post_init__(self) -> None:
-        """Checks ranges."""
-        checks.in_range("seed", self.seed, 0, 2**32 - 1)
-        checks.in_range("num_steps", self.num_steps, 1, 10_000_000)
-        checks.in_range("updates_per_step", self.updates_per_step, above=0.0, high=10.0)
 
 
 def main(config: ReproduceConfig) -> None:
