@@ -31,7 +31,7 @@ Reward = Literal["sparse", "dense"]
 REWARDS: tuple[Reward, ...] = get_args(Reward)
 
 MovementName = Literal["oracle", "full"]
-"""What moves the robot: the simulator its torso, or the robot itself, walking with a low level."""
+"""What moves the robot: the simulator its torso, or physics, with a low level for the controls."""
 
 MOVEMENTS: tuple[MovementName, ...] = get_args(MovementName)
 
@@ -47,6 +47,7 @@ TIME_UNIT = 1_000.0
 Params: TypeAlias = PyTree[Array]
 """Parameters of networks: nested dicts of arrays, or tuples of such dicts."""
 
+# Of environments and what wraps them: their own pytree, and what they show.
 InnerT = TypeVar("InnerT")
 ObsT = TypeVar("ObsT")
 
@@ -74,6 +75,7 @@ class Outcome(struct.PyTreeNode):
     @classmethod
     def of_reset(cls) -> "Outcome":
         """Returns what an episode begins with: no reward, and no end."""
+        # No constant of the module: importing must make no arrays.
         return cls(jnp.float32(0.0), jnp.zeros((), bool), jnp.zeros((), bool))
 
     @classmethod
@@ -133,6 +135,7 @@ class EnvState(struct.PyTreeNode, Generic[InnerT, ObsT]):
           metrics: scalars of any type; stored as float32.
           key: random key of this environment.
         """
+        # `final_obs` parts from `obs` only where a wrapper begins a new episode.
         return cls(
             inner=inner,
             obs=obs,
@@ -150,6 +153,7 @@ class EnvState(struct.PyTreeNode, Generic[InnerT, ObsT]):
         return self.terminated | self.truncated
 
 
+# Checkable at runtime, as the tests' type checker asks of every protocol.
 @runtime_checkable
 class Environment(Protocol[InnerT, ObsT]):
     """The contract between environments and learners: pure functions of one environment.
@@ -196,7 +200,7 @@ class Transition(struct.PyTreeNode, Generic[ObsT]):
     """
 
     obs: ObsT
-    action: Array
+    action: Array  # of any shape and type: controls, or the index of a direction
     reward: Float[Array, ""]
     discount: Float[Array, ""]
     next_obs: ObsT

@@ -44,7 +44,7 @@ def move(
     physics: engine_lib.PhysicsState,
     ctrl: Float[Array, " nu"],
     maze: maze_lib.Maze,
-    is_running: Bool[Array, ""],
+    is_running: Bool[Array, ""] | bool = True,
 ) -> tuple[engine_lib.PhysicsState, Bool[Array, ""]]:
     """Advances a robot in a maze by one control step; one that isn't running rests.
 
@@ -60,7 +60,7 @@ def advance(
     physics: engine_lib.PhysicsState,
     ctrl: Float[Array, " nu"],
     walls_xy: Float[Array, "W 2"],
-    is_running: Bool[Array, ""],
+    is_running: Bool[Array, ""] | bool = True,
 ) -> tuple[engine_lib.PhysicsState, Bool[Array, ""]]:
     """Advances a robot among walls at `walls_xy`, units; see `move`."""
     stepped = engine.step(physics, ctrl, walls_xy, is_running)

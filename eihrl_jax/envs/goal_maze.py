@@ -21,6 +21,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
+from eihrl_jax.config import checks
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import task, wrappers
 from eihrl_jax.mazes import maze as maze_lib
@@ -68,7 +69,11 @@ class GoalMaze:
           engine: moves the robot.
           mazes: one maze, or several with a leading axis of which each episode draws one.
           reward: see the module.
+
+        Raises:
+          base.UserError: an unknown reward.
         """
+        checks.one_of("reward", reward, base.REWARDS)
         self.robot = engine.robot
         self._engine = engine
         self._reward: base.Reward = reward
@@ -117,7 +122,7 @@ class GoalMaze:
         return wrappers.rest_if_over(state, self._state(inner, outcome, state.key))
 
     def _state(self, inner: GoalMazeState, outcome: base.Outcome, key: Key[Array, ""]) -> EnvState:
-        """Observes and tells what `reset` and `step` led to."""
+        """Puts together what `reset` and `step` return."""
         steps = inner.nav.decisions.astype(jnp.float32)
         xy, success = inner.physics.qpos[:2], task.success(self.table, inner.nav)
         # Once all goals are visited the robot's own place is shown as goal, as the reward has it.

@@ -1,4 +1,4 @@
-"""The low level's task: walk one cell in the direction of the subgoal, which changes every k steps.
+"""The low level's task: to follow a subgoal, a direction that changes every k control steps.
 
 Paper, Sec. 2 (eq. 1) and Sec. 3.2. `low_reward` pays a step, `experience` stores it, and `low_obs`
 makes the network's input of an observation.
@@ -20,7 +20,7 @@ from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engine as engine_lib
 
 METRICS = ("step_x", "step_y", "switched", "along", "lateral", "fell", "broke_down")
-"""What `Locomotion` tells about each step, see there."""
+"""Names of the metrics of `Locomotion`, see there."""
 
 
 class LocomotionState(struct.PyTreeNode):
@@ -110,11 +110,8 @@ class Locomotion:
         before, k = inner.physics, self.robot.steps_per_subgoal
         key, direction_key = jax.random.split(state.key)
 
-        # Always running: episodes that end begin anew at once, see `wrappers.AutoReset`.
-        is_running = jnp.ones((), bool)
-        after, is_broken = body_lib.move(
-            self._engine, before, action, self.room(inner.room), is_running
-        )
+        # Nobody rests: episodes that end begin anew at once, see `wrappers.AutoReset`.
+        after, is_broken = body_lib.move(self._engine, before, action, self.room(inner.room))
 
         was_down, is_down = (body_lib.is_fallen(x.qpos, self.robot) for x in (before, after))
         terminated = (is_down & self._ends_at_fall) | is_broken

@@ -63,14 +63,13 @@ def features(
     The two-hot code of direction d sets entries 2d and 2d + 1 of eight (paper, Table 4). In the
     other frames it is left out, since it would always be the same.
     """
-    body, displacement_xy = _split(obs.proprioception, robot), obs.displacement_xy
     code: list[Array] = []
     if options.frame == "world":
         # Paper, Table 4: the direction as two-hot code.
         code = [jnp.repeat(jax.nn.one_hot(obs.direction, base.NUM_DIRECTIONS), 2)]
+        body, displacement_xy = _split(obs.proprioception, robot), obs.displacement_xy
     else:
-        body = _turn(body, obs.direction, robot)
-        displacement_xy = rotations.to_direction_frame(displacement_xy, obs.direction)
+        body, displacement_xy = _in_direction_frame(obs, robot)
 
     symmetry = _symmetry(robot, options)
     if symmetry is not None:
@@ -154,14 +153,15 @@ def _split(proprioception: Float[Array, " P"], robot: robot_lib.Robot) -> _Body:
     return body._replace(orientation=jnp.concatenate([jnp.cos(yaw), jnp.sin(yaw)]))
 
 
-def _turn(body: _Body, direction: Int[Array, ""], robot: robot_lib.Robot) -> _Body:
-    """Turns the world such that `direction` points along x+."""
-    turned = body._replace(velocity_xy=rotations.to_direction_frame(body.velocity_xy, direction))
-    if robot.root == "slide":
-        return turned
-    is_free = robot.root == "free"
-    turn = rotations.quaternion_to_direction_frame if is_free else rotations.to_direction_frame
-    return turned._replace(orientation=turn(body.orientation, direction))
+def _in_direction_frame(obs: LowObs, robot: robot_lib.Robot) -> tuple[_Body, Float[Array, "2"]]:
+    """Returns body and displacement in a world turned such that the subgoal points along x+."""
+    body, direction = _split(obs.proprioception, robot), obs.direction
+    body = body._replace(velocity_xy=rotations.to_direction_frame(body.velocity_xy, direction))
+    if robot.root != "slide":
+        is_free = robot.root == "free"
+        turn = rotations.quaternion_to_direction_frame if is_free else rotations.to_direction_frame
+        body = body._replace(orientation=turn(body.orientation, direction))
+    return body, rotations.to_direction_frame(obs.displacement_xy, direction)
 
 
 def _symmetry(robot: robot_lib.Robot, options: low_config.LowInput) -> symmetry_lib.Symmetry | None:
@@ -172,9 +172,7 @@ def _variant(
     obs: LowObs, robot: robot_lib.Robot, symmetry: symmetry_lib.Symmetry
 ) -> Int[Array, ""]:
     """Returns which renaming makes an observation canonical."""
-    body = _turn(_split(obs.proprioception, robot), obs.direction, robot)
-    displacement_xy = rotations.to_direction_frame(obs.displacement_xy, obs.direction)
-    return _canonical_variant(body, displacement_xy, robot, symmetry)
+    return _canonical_variant(*_in_direction_frame(obs, robot), robot, symmetry)
 
 
 def _canonical_variant(

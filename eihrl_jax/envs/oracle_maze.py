@@ -213,7 +213,7 @@ class OracleMaze:
     def _state(
         self, inner: OracleMazeState, outcome: base.Outcome, key: Key[Array, ""]
     ) -> EnvState:
-        """Observes and tells what `reset` and `step` led to."""
+        """Puts together what `reset` and `step` return."""
         # Look first, so that a map shows what is in sight now.
         inner = inner.replace(nav=task.look(self.table, inner.nav, inner.xy, self.view))
 

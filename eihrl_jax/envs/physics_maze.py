@@ -1,4 +1,4 @@
-"""A robot that really walks in a maze: the same task and picture as `oracle_maze`, with physics.
+"""A robot with physics in a maze: the same task and picture as in `oracle_maze`.
 
 A decision is `begin`, k times `control`, and `end`. What chooses the controls in between is the low
 level, which `envs.hierarchy` puts in.
@@ -20,6 +20,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
+from eihrl_jax.config import checks
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import low_obs, raster, task
 from eihrl_jax.mazes import maze as maze_lib
@@ -97,14 +98,18 @@ class PhysicsMaze:
         view: raster.View,
         reward: base.Reward = "sparse",
     ):
-        """Prepares mazes and silhouettes.
+        """Prepares the mazes.
 
         Args:
           engine: moves the robot.
           mazes: one maze, or several with a leading axis of which each episode draws one.
           view: extent and resolution of the observation.
           reward: "sparse" or "dense".
+
+        Raises:
+          base.UserError: an unknown reward.
         """
+        checks.one_of("reward", reward, base.REWARDS)
         self.robot = engine.robot
         self.table = task.prepare(mazes, view.margin)
         self.view = view
@@ -191,7 +196,7 @@ class PhysicsMaze:
     def _state(
         self, inner: PhysicsMazeState, outcome: base.Outcome, key: Key[Array, ""]
     ) -> EnvState:
-        """Observes and tells what `reset` and `end` led to."""
+        """Puts together what `reset` and `end` return."""
         qpos = inner.body.physics.qpos
         # Look first, so that a map shows what is in sight now.
         inner = inner.replace(nav=task.look(self.table, inner.nav, qpos[:2], self.view))

@@ -1,7 +1,7 @@
 """Postures that a robot takes while it walks, and their silhouettes for the high level's pictures.
 
 The low level's trainer records a bank of them (paper, Sec. 3.2), so that oracle movement can show
-what the high level will see when the robot really walks.
+what the high level will see of the robot with physics.
 """
 
 import os
@@ -41,7 +41,7 @@ class PostureBank(struct.PyTreeNode):
 
 
 def synthetic(robot: robot_lib.Robot, num: int = 512, seed: int = 0) -> PostureBank:
-    """Makes up postures for a robot that has never walked.
+    """Makes up postures for a robot without a low level.
 
     Joints are spread around the keyframe `stand`, the heading is any, a free root is tilted a
     little, and its lowest part touches the floor.

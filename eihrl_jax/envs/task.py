@@ -1,4 +1,4 @@
-"""The navigation task, the same whether the robot is moved directly or walks (paper, Sec. 4.1, D).
+"""The navigation task, the same with oracle movement and with physics (paper, Sec. 4.1, App. D).
 
 An episode draws a maze, a start and, where there are candidates, a door. Every goal region pays 1
 when the torso first enters it, in any order; the episode terminates with the last of them and is

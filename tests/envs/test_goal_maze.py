@@ -1,5 +1,7 @@
 """The maze of control steps: what it shows, pays and counts, with a stand-in for physics."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,21 +22,35 @@ EAST, STAY = jnp.zeros(8).at[0].set(1.0), jnp.zeros(8)
 
 
 @pytest.fixture(scope="module")
-def maze():
-    return mazes.parse(TEXT, num_decisions=3)
+def env():
+    return goal_maze.GoalMaze(Sled(), mazes.parse(TEXT, num_decisions=3))
+
+
+@functools.cache
+def compiled(env):
+    """Returns a function that rolls out any controls, compiled once for all tests."""
+
+    def step(state, ctrl):
+        following = env.step(state, ctrl)
+        return following, following
+
+    @jax.jit
+    def roll(ctrls):
+        first = env.reset(jax.random.key(0))
+        return first, jax.lax.scan(step, first, ctrls)[1]
+
+    return roll
 
 
 def roll(env, ctrls):
-    """Returns the states of an episode whose controls are given."""
-    step = jax.jit(env.step)
-    found = [env.reset(jax.random.key(0))]
-    for ctrl in ctrls:
-        found.append(step(found[-1], ctrl))
-    return found
+    """Returns the states of an episode whose controls are given, and rest after it."""
+    num = 9 * K  # the same for all, so that it is compiled once
+    first, states = compiled(env)(jnp.stack([*ctrls, *[STAY] * (num - len(ctrls))]))
+    states = [jax.tree.map(lambda leaf, t=t: leaf[t], states) for t in range(len(ctrls))]
+    return [first, *states]
 
 
-def test_it_shows_position_goal_and_time(maze):
-    env = goal_maze.GoalMaze(Sled(), maze)
+def test_it_shows_position_goal_and_time(env):
     first, *_, last = roll(env, [EAST] * (2 * K))
     np.testing.assert_allclose(first.obs.goal_xy, [3.5 * base.CELL, -1.5 * base.CELL])
     np.testing.assert_allclose(last.obs.xy - first.obs.xy, [2 * base.CELL, 0.0], atol=1e-4)
@@ -44,8 +60,8 @@ def test_it_shows_position_goal_and_time(maze):
     assert env.side_xy == (15, 15)
 
 
-def test_goals_pay_once_and_time_is_counted_in_decisions(maze):
-    states = roll(goal_maze.GoalMaze(Sled(), maze), [EAST] * (2 * K) + [STAY] * K)
+def test_goals_pay_once_and_time_is_counted_in_decisions(env):
+    states = roll(env, [EAST] * (2 * K) + [STAY] * K)
     assert sum(float(state.reward) for state in states) == 1.0
     assert states[-1].metrics["success"] == 0.5 and states[-1].metrics["return"] == 1.0
     assert [float(states[t].metrics["decisions"]) for t in (0, 1, K, K + 1)] == [0, 1, 1, 2]
@@ -53,9 +69,8 @@ def test_goals_pay_once_and_time_is_counted_in_decisions(maze):
     assert not any(bool(state.terminated) for state in states)
 
 
-def test_an_episode_that_follows_another_by_itself_is_walked(maze):
-    env = wrappers.AutoReset(goal_maze.GoalMaze(Sled(), maze))
-    states = roll(env, [EAST] * (3 * 3 * K))
+def test_an_episode_that_follows_another_by_itself_goes_on(env):
+    states = roll(wrappers.AutoReset(env), [EAST] * (3 * 3 * K))
     ends = [t for t, state in enumerate(states) if state.truncated]
     assert ends == [3 * K, 6 * K, 9 * K]
     for t in ends[:2]:
@@ -64,7 +79,7 @@ def test_an_episode_that_follows_another_by_itself_is_walked(maze):
         assert states[t].obs.time == 0.0 and states[t + K].obs.time > 0.0
 
 
-def test_the_last_goal_ends_an_episode_which_then_rests(maze):
+def test_the_last_goal_ends_an_episode_which_then_rests():
     env = goal_maze.GoalMaze(Sled(), mazes.parse(TEXT.replace("2", "."), num_decisions=3))
     states = roll(env, [EAST] * (3 * K))
     ends = [t for t, state in enumerate(states) if state.terminated]
@@ -88,9 +103,9 @@ def test_dense_reward_grows_on_the_way_and_stays_full_after_arrival():
     assert has_arrived == [reward == 1.0 for reward in rewards]
 
 
-def test_a_broken_simulation_terminates_and_a_fall_does_not(maze):
+def test_a_broken_simulation_terminates_and_a_fall_does_not(env):
     tip, breaks = STAY.at[2].set(1.0), STAY.at[3].set(1.0)
-    *_, fallen, broken = roll(goal_maze.GoalMaze(Sled(), maze), [tip, breaks])
+    *_, fallen, broken = roll(env, [tip, breaks])
     assert fallen.metrics["fell"] == 1.0 and not fallen.terminated
     assert broken.metrics["broke_down"] == 1.0 and broken.terminated and broken.reward == 0.0
     assert jnp.isfinite(broken.obs.proprioception).all()

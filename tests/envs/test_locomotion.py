@@ -1,6 +1,7 @@
 """The low level's task: its reward, its symmetry, its subgoals and its guard."""
 
 import dataclasses
+import functools
 import itertools
 
 import jax
@@ -23,16 +24,27 @@ def ant_engine():
     return engines.make(ANT, "mujoco")
 
 
+DRIFT = {"lateral_weight": 0.5, "beyond_cell": 0.0}
+
+
+@functools.cache
+def _compiled(engine, ends_at_fall=True, **options):
+    """Returns reset and step of episodes of 60 steps that follow each other, compiled once."""
+    env = wrappers.AutoReset(
+        locomotion.Locomotion(
+            engine,
+            rooms.open_floor(),
+            reward_options=low_config.LowReward(**options),
+            episode_steps=60,
+            ends_at_fall=ends_at_fall,
+        )
+    )
+    return jax.jit(env.reset), jax.jit(env.step)
+
+
 @pytest.fixture(scope="module")
 def point_engine():
     return engines.make(POINT, "mujoco")
-
-
-def _env(engine, **options):
-    reward = low_config.LowReward(**options)
-    return locomotion.Locomotion(
-        engine, rooms.open_floor(), reward_options=reward, episode_steps=60
-    )
 
 
 def _obs(displacement_xy, time_left=1.0, direction=0):
@@ -106,10 +118,10 @@ def test_a_fall_costs_once():
     assert _pay([0.0, 0.0], [0.0, 0.0], fell=False, fall_cost=5.0) == 0.0
 
 
-def _drive(env, direction_of, num_steps, key=0):
+def _drive(engine, direction_of, num_steps, **options):
     """Pushes the point along `direction_of(state)` and collects every state."""
-    states = [env.reset(jax.random.key(key))]
-    step = jax.jit(env.step)
+    reset, step = _compiled(engine, **options)
+    states = [reset(jax.random.key(0))]
     for _ in range(num_steps):
         direction = int(direction_of(states[-1]))
         states.append(step(states[-1], jnp.array(base.DIRECTIONS_XY[direction])))
@@ -117,8 +129,7 @@ def _drive(env, direction_of, num_steps, key=0):
 
 
 def test_point_collects_its_displacement_and_switches_every_k_steps(point_engine):
-    env = _env(point_engine)
-    states = _drive(env, lambda state: state.obs.direction, 50)
+    states = _drive(point_engine, lambda state: state.obs.direction, 50)
     switched = [i for i, state in enumerate(states) if state.metrics["switched"] > 0]
     assert switched == [25, 50]
     total = sum(float(state.reward) for state in states[1:26])
@@ -130,14 +141,18 @@ def test_point_collects_its_displacement_and_switches_every_k_steps(point_engine
 
 
 def test_stored_step_relabelled_pays_as_if_the_other_direction_had_been_asked(point_engine):
-    env = _env(point_engine, lateral_weight=0.5, beyond_cell=0.0)
-    options = low_config.LowReward(lateral_weight=0.5, beyond_cell=0.0)
-    states = _drive(env, lambda state: 2, 25)
+    options = low_config.LowReward(**DRIFT)
+
+    @jax.jit
+    def see(row):
+        return experience.transition(row, POINT, low_config.LowInput(), options, 0.9)
+
+    states = _drive(point_engine, lambda state: 2, 25, **DRIFT)
     for before, after in itertools.pairwise(states):
         ctrl = jnp.array(base.DIRECTIONS_XY[2])
         stored = experience.of_step(before, ctrl, after)
         same = experience.relabel(stored, before.obs.direction)
-        seen = experience.transition(same, POINT, low_config.LowInput(), options, 0.9)
+        seen = see(same)
         np.testing.assert_allclose(seen.reward, after.reward, atol=1e-4)
         other = experience.relabel(stored, jnp.int32(2))
         is_switch = bool(stored.is_switch)
@@ -149,8 +164,7 @@ def test_stored_step_relabelled_pays_as_if_the_other_direction_had_been_asked(po
 
 def test_a_step_restarted_is_the_first_of_its_subgoal(point_engine):
     """It is what a fresh subgoal would have stored: nothing moved yet, all time left."""
-    env = _env(point_engine)
-    states = _drive(env, lambda state: 2, 25)
+    states = _drive(point_engine, lambda state: 2, 25)
     for before, after in itertools.pairwise(states[12:]):
         stored = experience.of_step(before, jnp.zeros(2), after)
         anew = experience.restart(stored, jnp.int32(1), POINT)
@@ -174,13 +188,9 @@ def test_a_turned_over_ant_has_fallen(ant_engine):
 
 
 def test_where_falls_do_not_end_episodes_they_are_told_once(ant_engine):
-    options = low_config.LowReward()
-    env = locomotion.Locomotion(
-        ant_engine, rooms.open_floor(), reward_options=options, ends_at_fall=False
-    )
-    state = env.reset(jax.random.key(0))
+    reset, step = _compiled(ant_engine, ends_at_fall=False)
+    state, zero = reset(jax.random.key(0)), jnp.zeros(8)
     lifted = state.inner.physics.replace(qpos=state.inner.physics.qpos.at[2].set(1.4))
-    step, zero = jax.jit(env.step), jnp.zeros(8)
     above = step(state.replace(inner=state.inner.replace(physics=lifted)), zero)
     assert not above.terminated and float(above.metrics["fell"]) == 0.0  # lay there before
     low = lifted.replace(qpos=lifted.qpos.at[2].set(0.99), qvel=lifted.qvel.at[2].set(5.0))
@@ -193,36 +203,35 @@ def test_where_falls_do_not_end_episodes_they_are_told_once(ant_engine):
 
 
 def test_fall_terminates_and_starts_anew(ant_engine):
-    env = wrappers.AutoReset(_env(ant_engine))
-    state = env.reset(jax.random.key(0))
-    walk = state.inner
-    upside_down = walk.physics.qpos.at[3:7].set(jnp.array([0.0, 1.0, 0.0, 0.0]))
-    fallen = walk.replace(physics=walk.physics.replace(qpos=upside_down))
-    after = jax.jit(env.step)(state.replace(inner=fallen), jnp.zeros(8))
+    reset, step = _compiled(ant_engine)
+    state = reset(jax.random.key(0))
+    physics = state.inner.physics
+    upside_down = physics.qpos.at[3:7].set(jnp.array([0.0, 1.0, 0.0, 0.0]))
+    fallen = state.inner.replace(physics=physics.replace(qpos=upside_down))
+    after = step(state.replace(inner=fallen), jnp.zeros(8))
     assert bool(after.terminated) and float(after.metrics["fell"]) == 1.0
     assert int(after.inner.step) == 0 and float(after.inner.physics.qpos[2]) == 0.75
     assert abs(float(after.final_obs.proprioception[2])) > 0.9
 
 
 def test_broken_simulation_ends_the_episode_and_poisons_nothing(ant_engine):
-    env = _env(ant_engine)
-    state = env.reset(jax.random.key(0))
-    walk = state.inner
-    broken = walk.replace(physics=walk.physics.replace(qvel=walk.physics.qvel.at[3].set(1e30)))
-    after = jax.jit(env.step)(state.replace(inner=broken), jnp.zeros(8))
+    reset, step = _compiled(ant_engine)
+    state = reset(jax.random.key(0))
+    physics = state.inner.physics
+    broken = state.inner.replace(physics=physics.replace(qvel=physics.qvel.at[3].set(1e30)))
+    after = step(state.replace(inner=broken), jnp.zeros(8))
     assert bool(after.terminated) and float(after.metrics["broke_down"]) == 1.0
     assert float(after.reward) == 0.0
 
 
 def test_controls_that_are_no_numbers_count_as_a_breakdown(point_engine):
-    env = _env(point_engine)
-    after = env.step(env.reset(jax.random.key(0)), jnp.full(2, jnp.nan))
+    reset, step = _compiled(point_engine)
+    after = step(reset(jax.random.key(0)), jnp.full(2, jnp.nan))
     assert bool(after.terminated) and float(after.metrics["broke_down"]) == 1.0
 
 
 def test_time_limit_truncates_and_episodes_differ(point_engine):
-    env = wrappers.AutoReset(_env(point_engine))
-    states = _drive(env, lambda state: state.obs.direction, 60)
+    states = _drive(point_engine, lambda state: state.obs.direction, 60)
     assert bool(states[-1].truncated) and not bool(states[-1].terminated)
     first, second = states[0].inner, states[-1].inner
     assert int(second.step) == 0
@@ -238,9 +247,7 @@ def test_rooms_are_half_empty_and_start_where_it_is_free():
 
 def test_turning_the_world_turns_the_physics(ant_engine):
     """An ant turned by a quarter ends up where the other one does, turned: relabelling is exact."""
-    env = _env(ant_engine)
-    state = env.reset(jax.random.key(5))
-    physics = state.inner.physics
+    physics = _compiled(ant_engine)[0](jax.random.key(5)).inner.physics
     inverse = jnp.int32(3)
     qvel = physics.qvel.at[:2].set(rotations.to_world_frame(physics.qvel[:2], jnp.int32(2)))
     quat = rotations.quaternion_to_direction_frame(physics.qpos[3:7], inverse)

@@ -1,6 +1,7 @@
 """What the low level's network sees and does does not depend on the direction, nor on which of the
 robot's like sides is called its front."""
 
+import functools
 import pathlib
 
 import jax
@@ -137,6 +138,16 @@ def _observe(state, robot):
     return low_obs.observe(state, jnp.array([0.2, 0.0]), jnp.int32(7), jnp.int32(0), robot)
 
 
+@functools.cache
+def compiled(robot):
+    """Engine, features, controls and back to actions of a robot, compiled once for its variants."""
+    functions = low_obs.features, low_obs.ctrl_from_action, low_obs.action_from_ctrl
+    return engines.make(robot, "mujoco"), *(
+        jax.jit(functools.partial(function, robot=robot, options=CANONICAL))
+        for function in functions
+    )
+
+
 SYMMETRIC = [
     (robot, variant)
     for robot in (POINT, ANT, SWIMMER, HUMANOID, CART)
@@ -149,18 +160,16 @@ SYMMETRIC = [
 )
 def test_renaming_and_stepping_commute(robot, variant):
     """Physics itself says that the tables are right, on the floor, with joints off their zeros."""
-    engine = engines.make(robot, "mujoco")
+    engine, features, to_ctrl, to_action = compiled(robot)
     near = jnp.tile(jnp.array(scene.PARKED_XY), (robot.num_walls, 1))
     key, ctrl_key = jax.random.split(jax.random.key(variant))
     state = body_lib.draw_pose(engine, jnp.array([0.3, 0.4]), key)
     other = _image(state, robot, variant)
-    features = jax.jit(lambda obs: low_obs.features(obs, robot, CANONICAL))
     for action in jax.random.uniform(ctrl_key, (5, engine.model.nu), minval=-1.0, maxval=1.0):
         obs, other_obs = _observe(state, robot), _observe(other, robot)
         np.testing.assert_allclose(features(obs), features(other_obs), atol=2e-3)
-        ctrl = low_obs.ctrl_from_action(action, obs, robot, CANONICAL)
-        other_ctrl = low_obs.ctrl_from_action(action, other_obs, robot, CANONICAL)
-        back = low_obs.action_from_ctrl(other_ctrl, other_obs, robot, CANONICAL)
+        ctrl, other_ctrl = to_ctrl(action, obs), to_ctrl(action, other_obs)
+        back = to_action(other_ctrl, other_obs)
         np.testing.assert_allclose(back, action, atol=1e-6)
         state, other = engine.step(state, ctrl, near), engine.step(other, other_ctrl, near)
 
@@ -172,7 +181,7 @@ def test_canonical_bodies_face_the_subgoal():
         mujoco.mju_axisAngle2Quat(quat, np.array([0.0, 0.0, 1.0]), yaw)
         obs = _random_obs(ANT, 27)
         obs = obs.replace(proprioception=obs.proprioception.at[1:5].set(jnp.float32(quat)))
-        found = low_obs.features(obs, ANT, CANONICAL)
+        found = compiled(ANT)[1](obs)
         x, y = rotations.heading(found[1:5])
         assert -1e-6 <= np.arctan2(y, x) <= np.pi / 4 + 1e-6
 

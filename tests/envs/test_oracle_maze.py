@@ -77,29 +77,29 @@ def test_movement_agrees_with_a_slow_one_that_tests_the_whole_body():
 
 
 @pytest.fixture(scope="module")
-def walks():
+def decided():
     """First states and states of 100 random decisions of 99 robots in three mazes."""
     env = make(THREE, sigma=0.6, body_radius=0.75)
     actions = np.random.default_rng(0).integers(4, size=(100, 99))
     return env, *rollout(env, jnp.arange(99) % 3, jnp.asarray(actions, jnp.int32))
 
 
-def test_the_body_never_enters_a_wall_nor_leaves_the_grid(walks):
-    env, _, states = walks
+def test_the_body_never_enters_a_wall_nor_leaves_the_grid(decided):
+    env, _, states = decided
     corners = jnp.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
     at = states.inner.xy[:, :, None] + (env.movement.body_radius - 1e-4) * corners[None, None]
     code_at = jax.vmap(jax.vmap(functools.partial(task.code_at, env.table)))
     assert (jax.jit(code_at)(states.inner.nav, at) < 128).all()
 
 
-def test_a_batch_holds_different_mazes(walks):
-    _, first, states = walks
+def test_a_batch_holds_different_mazes(decided):
+    _, first, states = decided
     assert (first.inner.nav.maze == jnp.arange(99) % 3).all()
     assert (states.inner.nav.maze == first.inner.nav.maze[None]).all()
 
 
-def test_postures_are_drawn_uniformly_for_every_decision_and_shown(walks):
-    _, _, states = walks
+def test_postures_are_drawn_uniformly_for_every_decision_and_shown(decided):
+    _, _, states = decided
     posture = np.asarray(states.inner.posture)
     counts = np.bincount(posture.ravel(), minlength=8)
     assert (
@@ -109,8 +109,8 @@ def test_postures_are_drawn_uniformly_for_every_decision_and_shown(walks):
     assert (np.asarray(states.obs)[..., 2] == SILHOUETTES[posture]).all()
 
 
-def test_observation_and_metrics_fit_the_state(walks):
-    env, _, states = walks
+def test_observation_and_metrics_fit_the_state(decided):
+    env, _, states = decided
     assert (states.obs == states.final_obs).all()
     assert (states.metrics["return"] == jnp.cumsum(states.reward, 0)).all()
     expected = jax.vmap(functools.partial(task.success, env.table))(
@@ -201,8 +201,8 @@ def test_a_body_fits_through_a_door_and_stops_behind_it():
     assert path[-1, 1] == pytest.approx(-1.5, abs=0.01)
 
 
-def test_a_step_alone_is_a_step_in_a_batch(walks):
-    env, _, states = walks
+def test_a_step_alone_is_a_step_in_a_batch(decided):
+    env, _, states = decided
     before, after = (jax.tree.map(lambda leaf, t=t: leaf[t, 5], states) for t in (3, 4))
     action = np.random.default_rng(0).integers(4, size=(100, 99))[4, 5]
     alone = jax.jit(env.step)(before, jnp.int32(action))

@@ -10,10 +10,19 @@ from tests.envs import pictures
 
 SEVEN = mazes.stack([mazes.load(name) for name in mazes.NAMES])
 
+start = jax.jit(task.start)
+starts_of = jax.jit(jax.vmap(task.start, (None, 0)))
+advance = jax.jit(task.advance, static_argnames="reward")
+dense_reward = jax.jit(task.dense_reward)
+current_goal_xy = jax.jit(task.current_goal_xy)
+code_at = jax.jit(task.code_at)
+look = jax.jit(task.look, static_argnums=3)
+observe = jax.jit(task.observe, static_argnums=4)
+
 
 def starts(table, num, seed=0):
     keys = jax.random.split(jax.random.key(seed), num)
-    return jax.jit(jax.vmap(task.start, (None, 0)))(table, keys)
+    return starts_of(table, keys)
 
 
 def at(table, **fields):
@@ -35,14 +44,14 @@ def test_an_episode_begins_on_a_free_start_cell_apart_from_goals():
     nav, xy = starts(table, 300)
     for maze in range(7):
         assert (nav.maze == maze).sum() > 20
-    codes = jax.vmap(task.code_at, (None, 0, 0))(table, nav, xy)
+    codes = jax.jit(jax.vmap(task.code_at, (None, 0, 0)))(table, nav, xy)
     assert (codes == 0).all()
     ij = jax.vmap(maze_lib.cell_ij)(xy)
     assert SEVEN.start[nav.maze, ij[:, 0], ij[:, 1]].all()
 
 
 def test_the_maze_of_an_episode_can_be_given():
-    nav, _ = task.start(task.prepare(SEVEN), jax.random.key(0), jnp.int32(3))
+    nav, _ = start(task.prepare(SEVEN), jax.random.key(0), jnp.int32(3))
     assert nav.maze == 3
 
 
@@ -65,10 +74,10 @@ def test_a_maze_without_candidates_has_no_door():
 def test_the_open_door_is_a_goal_and_the_others_are_wall():
     table = task.prepare(mazes.load("random"))
     nav = at(table, door_ij=jnp.array([3, 8]))
-    assert task.code_at(table, nav, centre(3, 8)) == 1
-    assert task.code_at(table, nav, centre(4, 8)) == maze_lib.WALL
-    assert task.code_at(table, nav, centre(3, 9)) == maze_lib.WALL
-    assert task.code_at(table, nav, jnp.array([1e6, -1e6])) == maze_lib.WALL
+    assert code_at(table, nav, centre(3, 8)) == 1
+    assert code_at(table, nav, centre(4, 8)) == maze_lib.WALL
+    assert code_at(table, nav, centre(3, 9)) == maze_lib.WALL
+    assert code_at(table, nav, jnp.array([1e6, -1e6])) == maze_lib.WALL
     drawn = task.drawn_maze(table, nav)
     assert (drawn.goal[3, 8], drawn.wall.sum()) == (1, 31)
 
@@ -98,7 +107,7 @@ def test_a_goal_pays_once_in_any_order_and_the_last_terminates():
     third, first, second = centre(7, 15)[None], centre(6, 5)[None], centre(2, 10)[None]
     rewards, ends = [], []
     for path in (third, third, centre(1, 1)[None], jnp.concatenate([first, first]), second):
-        nav, outcome = task.advance(table, nav, path)
+        nav, outcome = advance(table, nav, path)
         rewards.append(float(outcome.reward))
         ends.append(bool(outcome.terminated))
         assert not outcome.truncated
@@ -110,7 +119,7 @@ def test_a_goal_pays_once_in_any_order_and_the_last_terminates():
 def test_goals_are_paid_along_the_way():
     table = task.prepare(mazes.load("s"))
     path = jnp.stack([centre(6, 4), centre(6, 5), centre(6, 6), centre(2, 10), centre(3, 11)])
-    nav, outcome = task.advance(table, at(table), path)
+    nav, outcome = advance(table, at(table), path)
     assert outcome.reward == 2.0
     assert task.success(table, nav) == pytest.approx(2 / 3)
 
@@ -118,11 +127,11 @@ def test_goals_are_paid_along_the_way():
 def test_the_time_limit_truncates_unless_the_last_decision_succeeds():
     table = task.prepare(mazes.load("g1"))
     nav = at(table, decisions=jnp.int32(22))
-    nav, outcome = task.advance(table, nav, centre(1, 1)[None])
+    nav, outcome = advance(table, nav, centre(1, 1)[None])
     assert not (outcome.terminated | outcome.truncated)
-    _, outcome = task.advance(table, nav, centre(1, 1)[None])
+    _, outcome = advance(table, nav, centre(1, 1)[None])
     assert (outcome.terminated, outcome.truncated) == (False, True)
-    _, outcome = task.advance(table, nav, centre(0, 5)[None])
+    _, outcome = advance(table, nav, centre(0, 5)[None])
     assert (outcome.terminated, outcome.truncated) == (True, False)
 
 
@@ -130,37 +139,37 @@ def test_dense_reward_is_that_of_the_lowest_unvisited_goal():
     table = task.prepare(mazes.load("s"))
     nav = at(table)
     xy = centre(6, 1) + jnp.array([0.0, -1.5])  # level with goal 1's centre, 12 units away
-    assert task.dense_reward(table, nav, xy) == pytest.approx(1 / 13)
+    assert dense_reward(table, nav, xy) == pytest.approx(1 / 13)
     nav = nav.replace(visited=jnp.arange(9) == 0)
     distance = np.hypot(9 * 3.0, 5.0 * 3.0)
-    assert task.dense_reward(table, nav, xy) == pytest.approx(1 / (1 + distance))
+    assert dense_reward(table, nav, xy) == pytest.approx(1 / (1 + distance))
     nav = nav.replace(visited=jnp.arange(9) != 1)
-    assert task.dense_reward(table, nav, xy) == pytest.approx(1 / (1 + distance))
-    assert task.dense_reward(table, nav.replace(visited=jnp.arange(9) < 3), xy) == 1.0
+    assert dense_reward(table, nav, xy) == pytest.approx(1 / (1 + distance))
+    assert dense_reward(table, nav.replace(visited=jnp.arange(9) < 3), xy) == 1.0
 
 
 def test_after_nine_goals_the_last_one_stays_the_current():
     table = task.prepare(mazes.parse("############\n#S123456789#\n############\n"))
     for num_visited, column in ((0, 2), (8, 10), (9, 10)):
         nav = at(table, visited=jnp.arange(9) < num_visited)
-        np.testing.assert_array_equal(task.current_goal_xy(table, nav), centre(1, column))
+        np.testing.assert_array_equal(current_goal_xy(table, nav), centre(1, column))
 
 
 def test_the_dense_task_goes_on_after_the_last_goal_and_pays_in_full():
     table = task.prepare(mazes.load("u", num_decisions=2))
     there_and_back = jnp.stack([centre(1, 1), centre(7, 1)])
-    assert task.advance(table, at(table), there_and_back)[1].terminated
-    nav, outcome = task.advance(table, at(table), there_and_back, "dense")
+    assert advance(table, at(table), there_and_back)[1].terminated
+    nav, outcome = advance(table, at(table), there_and_back, reward="dense")
     assert (outcome.reward, outcome.terminated, outcome.truncated) == (1.0, False, False)
-    assert task.advance(table, nav, centre(7, 1)[None], "dense")[1].truncated
+    assert advance(table, nav, centre(7, 1)[None], reward="dense")[1].truncated
 
 
 def test_dense_reward_of_a_door_and_its_least_value_in_the_random_square():
     table = task.prepare(mazes.load("random"))
     nav = at(table, door_ij=jnp.array([0, 7]))
-    assert task.dense_reward(table, nav, centre(0, 7)) == 1.0
+    assert dense_reward(table, nav, centre(0, 7)) == 1.0
     # Paper, App. D.2: about 0.03 at least.
-    assert task.dense_reward(table, nav, centre(7, 1)) == pytest.approx(0.035, abs=2e-3)
+    assert dense_reward(table, nav, centre(7, 1)) == pytest.approx(0.035, abs=2e-3)
 
 
 def test_the_picture_is_that_of_the_drawn_maze():
@@ -191,8 +200,8 @@ MAP = raster.View(extent=9.0, pixels=15, map_radius=3)
 def test_the_map_shows_what_has_been_in_sight_and_nothing_else():
     table = task.prepare(mazes.load("g1"), MAP.margin)
     silhouette = jnp.zeros((15, 1), jnp.uint32)
-    nav = task.look(table, at(table), centre(7, 2), MAP)
-    chart = np.asarray(task.observe(table, nav, centre(7, 2), silhouette, MAP))
+    nav = look(table, at(table), centre(7, 2), MAP)
+    chart = np.asarray(observe(table, nav, centre(7, 2), silhouette, MAP))
     assert chart.shape == MAP.obs_shape == (7, 7, 4)
     wall, goal, robot, unseen = np.moveaxis(chart, -1, 0)
     assert np.argwhere(robot).tolist() == [[3, 3]]
@@ -203,9 +212,9 @@ def test_the_map_shows_what_has_been_in_sight_and_nothing_else():
     assert np.argwhere(wall).tolist() == [[4, 2], [4, 3], [4, 4]]
     assert not goal.any()
     # One cell to the north: what was seen moves down on the map and stays on it.
-    nav = task.look(table, nav, centre(6, 2), MAP)
+    nav = look(table, nav, centre(6, 2), MAP)
     wall, _, _, unseen = np.moveaxis(
-        np.asarray(task.observe(table, nav, centre(6, 2), silhouette, MAP)), -1, 0
+        np.asarray(observe(table, nav, centre(6, 2), silhouette, MAP)), -1, 0
     )
     assert np.argwhere(wall).tolist() == [[2, 4], [5, 2], [5, 3], [5, 4]]
     assert not unseen[2:6, 2:5].any() and unseen.sum() == 49 - 12
@@ -222,14 +231,14 @@ def test_the_map_shows_the_open_door_until_it_is_paid_and_walls_beyond_the_grid(
     table = task.prepare(mazes.load("random"), MAP.margin)
     silhouette = jnp.zeros((15, 1), jnp.uint32)
     nav = at(table, door_ij=jnp.array([1, 8]))
-    nav = task.look(table, nav, centre(1, 7), MAP)
-    chart = task.observe(table, nav, centre(1, 7), silhouette, MAP)
+    nav = look(table, nav, centre(1, 7), MAP)
+    chart = observe(table, nav, centre(1, 7), silhouette, MAP)
     assert np.argwhere(np.asarray(chart[..., 1])).tolist() == [[3, 4]]
     assert np.asarray(chart[..., 0]).sum() == 4  # three in the north, one beside the door
     paid = nav.replace(visited=nav.visited.at[0].set(True))
-    assert not task.observe(table, paid, centre(1, 7), silhouette, MAP)[..., 1].any()
-    beyond = task.look(table, nav, centre(0, 8), MAP)
-    chart = np.asarray(task.observe(table, beyond, centre(0, 8), silhouette, MAP))
+    assert not observe(table, paid, centre(1, 7), silhouette, MAP)[..., 1].any()
+    beyond = look(table, nav, centre(0, 8), MAP)
+    chart = np.asarray(observe(table, beyond, centre(0, 8), silhouette, MAP))
     assert chart[2, 3, 0] and chart[2, 4, 0]
 
 
@@ -241,6 +250,6 @@ def test_a_map_of_several_mazes_is_that_of_the_episode_s_maze():
         for ij in ((1, 1), (7, 2), (4, 6)):
             charts = []
             for some, number in ((table, maze), (alone, 0)):
-                nav = task.look(some, at(some, maze=jnp.int32(number)), centre(*ij), MAP)
-                charts.append(task.observe(some, nav, centre(*ij), silhouette, MAP))
+                nav = look(some, at(some, maze=jnp.int32(number)), centre(*ij), MAP)
+                charts.append(observe(some, nav, centre(*ij), silhouette, MAP))
             np.testing.assert_array_equal(*charts)

@@ -1,7 +1,7 @@
 """Running along x+ as fast as it goes: the task of DroQ's published learning curves.
 
-Observation: `base.GoalObs` of which only the proprioception tells anything, so that what learns in
-mazes learns here too. Action: controls in [-1, 1].
+Observation: `base.GoalObs`, of which only the proprioception varies, so that what learns in mazes
+learns here too. Action: controls in [-1, 1].
 Reward: velocity along x in units per second + 1 - 0.5 * squared controls (Gym's Ant without its
 price for contact forces, which is a thousandth of the rest).
 End of an episode: terminated by a torso outside of the robot's healthy heights or a simulation that
@@ -82,7 +82,7 @@ class ForwardRun:
 
 
 def _state(inner: ForwardRunState, outcome: base.Outcome, key: Key[Array, ""]) -> EnvState:
-    """Observes and tells what `reset` and `step` led to."""
+    """Puts together what `reset` and `step` return."""
     # Where the robot is, and how late it is, is told neither here nor in Gym.
     obs = base.GoalObs(
         xy=jnp.zeros(2),

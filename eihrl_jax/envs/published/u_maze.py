@@ -146,7 +146,7 @@ class UMaze:
 
 
 def _state(inner: UMazeState, outcome: base.Outcome, key: Key[Array, ""]) -> EnvState:
-    """Observes and tells what `reset` and `step` led to."""
+    """Puts together what `reset` and `step` return."""
     steps = inner.step.astype(jnp.float32)
     obs = base.GoalObs(
         xy=inner.physics.qpos[:2],

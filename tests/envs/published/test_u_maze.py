@@ -15,18 +15,18 @@ MAZE = mazes.parse(u_maze.TEXT)
 
 def test_goals_are_drawn_anywhere_in_training_and_far_away_in_evaluation():
     env = u_maze.UMaze(Sled(), MAZE)
-    goal = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 500)).obs.goal_xy
+    goal = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 500)).obs.goal_xy
     offset = np.asarray(goal) - np.array(u_maze.START_XY)
     np.testing.assert_allclose(offset.min(0), -2.0, atol=0.2)
     np.testing.assert_allclose(offset.max(0), 10.0, atol=0.2)
-    test = u_maze.UMaze(Sled(), MAZE, is_evaluation=True).reset(jax.random.key(0))
+    test = jax.jit(u_maze.UMaze(Sled(), MAZE, is_evaluation=True).reset)(jax.random.key(0))
     np.testing.assert_allclose(test.obs.goal_xy - test.obs.xy, u_maze.FAR_XY)
 
 
 @pytest.mark.parametrize("is_evaluation", [False, True])
 def test_the_goal_ends_an_evaluation_and_not_a_training(is_evaluation):
     env = u_maze.UMaze(Sled(), MAZE, is_evaluation=is_evaluation)
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     inner = state.inner.replace(goal_xy=state.obs.xy + jnp.array([base.CELL, 0.0]))
     step, go = jax.jit(env.step), jnp.zeros(8).at[0].set(1.0)
     rewards, state = [], state.replace(inner=inner)
@@ -42,7 +42,8 @@ def test_the_goal_ends_an_evaluation_and_not_a_training(is_evaluation):
 def test_far_from_the_goal_each_step_costs_one_or_the_distance():
     for reward in ("sparse", "dense"):
         env = u_maze.UMaze(Sled(), MAZE, reward=reward, is_evaluation=True)
-        state = env.step(env.reset(jax.random.key(0)), jnp.zeros(8))
+        start = jax.jit(env.reset)(jax.random.key(0))
+        state = jax.jit(env.step)(start, jnp.zeros(8))
         assert state.reward == (-1.0 if reward == "sparse" else -8.0)
 
 
@@ -51,7 +52,7 @@ def test_walls_are_four_units_wide():
     robot = robots.load("point")
     engine = engines.make(robot, "mujoco", u_maze.CELL)
     env = u_maze.UMaze(engine, MAZE)
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     step = jax.jit(env.step)
     for _ in range(150):
         state = step(state, jnp.array([1.0, 0.0]))
