@@ -15,7 +15,7 @@ from eihrl_jax.config import presets
 from eihrl_jax.envs import locomotion, rooms, wrappers
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import engines, scene
-from eihrl_jax.training import low
+from eihrl_jax.training import low_trainer
 
 NUM_FEATURES, NUM_ACTIONS, CAPACITY, BATCH = 35, 8, 100_000, 256
 """An ant of preset `paper` with a replay that doesn't fit into caches."""
@@ -105,7 +105,7 @@ def walking_rate(num_steps: int = 100, repeats: int = 5) -> part.Figures:
       `walking` and `engine`, control steps per second, and `ratio`.
     """
     config = presets.low_best()
-    trainer = low.LowTrainer(config)
+    trainer = low_trainer.LowTrainer(config)
     engine = engines.make(trainer.robot, config.engine)
     env = wrappers.AutoReset(
         locomotion.Locomotion(

@@ -2,7 +2,7 @@
 
     config.json     the options of the last start, as `codec.to_json` writes them
     versions.json   one entry per start: packages, Python, machine, commit
-    metrics.csv     one row per `log`, one column per metric
+    metrics.csv     one row per `log`, one column per metric, see `metrics_log`
     tensorboard/    the same numbers as events
     checkpoints/    see `checkpoint`
 
@@ -10,27 +10,25 @@ A run killed at any moment goes on from its last checkpoint with nothing to clea
 its metrics.csv then has the rows that the uninterrupted run would have.
 """
 
-import csv
 import json
-import math
 import os
 import pathlib
 import sys
 from collections.abc import Collection, Mapping
-from typing import Any, TextIO
+from typing import Any, SupportsFloat, TypeVar
 
 import jax
-import tensorboardX
 
 from eihrl_jax import base
 from eihrl_jax.config import codec
-from eihrl_jax.runs import checkpoint, folders, versions
+from eihrl_jax.runs import checkpoint, folders, metrics_log, versions
 
 CHECKPOINTS = "checkpoints"
 """Name of the folder of a run's checkpoints."""
 
 _CONFIG = "config.json"
-_METRICS = "metrics.csv"
+
+StateT = TypeVar("StateT")
 
 
 class RunFolder:
@@ -41,12 +39,10 @@ class RunFolder:
     """
 
     def __init__(self, path: pathlib.Path, lock: int | None):
-        """Use `create`."""
+        """Use `create`. Without lock, another process of the same run looks after the folder."""
         self.path = path
         self._lock = lock
-        self._columns: list[str] = []
-        self._files: tuple[TextIO, tensorboardX.SummaryWriter] | None = None
-        self._first_step = 0
+        self._metrics = metrics_log.MetricsLog(path)
 
     @classmethod
     def create(
@@ -97,9 +93,7 @@ class RunFolder:
 
     def close(self) -> None:
         """Closes the files and gives the lock back; may be called twice."""
-        for file in self._files or ():
-            file.close()
-        self._files = None
+        self._metrics.close()
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -108,7 +102,7 @@ class RunFolder:
         """Writes a checkpoint; call it after `log` of the same step."""
         checkpoint.save(self.path / CHECKPOINTS, step, state)
 
-    def restore(self, template: Any) -> tuple[int, Any] | None:
+    def restore(self, template: StateT) -> tuple[int, StateT] | None:
         """Reads the last checkpoint and drops the metrics that were logged after it.
 
         Args:
@@ -121,42 +115,16 @@ class RunFolder:
           UserError: the checkpoint is damaged or holds another structure.
         """
         restored = checkpoint.restore(self.path / CHECKPOINTS, template)
-        step = -1 if restored is None else restored[0]
-        if jax.process_index() == 0:
-            if restored is None and (self.path / _METRICS).is_file():
+        if self._lock is not None:
+            if restored is None and (self.path / metrics_log.FILE).is_file():
                 print(f"{self.path} has no checkpoint yet: the run begins anew", file=sys.stderr)
-            self._columns = _drop_rows_after(self.path / _METRICS, step)
-            self._first_step = step + 1
+            self._metrics.rewind(-1 if restored is None else restored[0])
         return restored
 
-    def log(self, step: int, metrics: Mapping[str, Any]) -> None:
-        """Appends one row to metrics.csv and the same numbers to TensorBoard.
-
-        Args:
-          step: what the run counts in; grows from row to row.
-          metrics: scalars by name. A new name adds a column; a name left out leaves an empty field.
-        """
-        if self._lock is None:
-            return
-        if self._files is None:
-            self._files = self._open()
-        table, events = self._files
-        values = {name: float(value) for name, value in metrics.items()}
-        new = [name for name in values if name not in self._columns]
-        if new:
-            self._columns += new
-            table.close()
-            table = _add_columns(self.path / _METRICS, self._columns, len(new))
-            self._files = table, events
-        row = [step, *(values.get(name, "") for name in self._columns)]
-        table.write(",".join(map(str, row)) + "\n")
-        for name, value in values.items():
-            if math.isfinite(value):
-                events.add_scalar(name, value, step)
-
-    def _open(self) -> tuple[TextIO, tensorboardX.SummaryWriter]:
-        table = (self.path / _METRICS).open("a", buffering=1)
-        return table, _open_events(self.path / "tensorboard", self._first_step)
+    def log(self, step: int, metrics: Mapping[str, SupportsFloat]) -> None:
+        """Appends one row to the run's metrics, see `MetricsLog.log`."""
+        if self._lock is not None:
+            self._metrics.log(step, metrics)
 
 
 def _check_same_options(file: pathlib.Path, options: Any, may_change: Collection[str]) -> None:
@@ -205,41 +173,3 @@ def _read_starts(file: pathlib.Path) -> list[Any]:
         return list(json.loads(file.read_text()))
     except (FileNotFoundError, ValueError):
         return []
-
-
-def _drop_rows_after(file: pathlib.Path, step: int) -> list[str]:
-    """Drops rows later than `step` and a last one cut short; returns the columns after `step`."""
-    if not file.is_file():
-        return []
-    lines = [line for line in file.read_text().splitlines(keepends=True) if line.endswith("\n")]
-    if not lines:
-        return []
-    try:
-        kept = [line for line in lines[1:] if int(line.partition(",")[0]) <= step]
-    except ValueError:
-        raise base.UserError(f"{file} is damaged: a row doesn't begin with a number") from None
-    if not kept:
-        file.unlink()
-        return []
-    folders.write_whole(file, "".join([lines[0], *kept]))
-    return next(csv.reader(lines[:1]))[1:]
-
-
-def _add_columns(file: pathlib.Path, columns: list[str], num_new: int) -> TextIO:
-    """Widens a table, the new fields of its rows being empty, and opens it for further rows."""
-    rows = file.read_text().splitlines()[1:]
-    header = ",".join(["step", *columns])
-    folders.write_whole(file, "\n".join([header, *(row + "," * num_new for row in rows), ""]))
-    return file.open("a", buffering=1)
-
-
-def _open_events(folder: pathlib.Path, first_step: int) -> tensorboardX.SummaryWriter:
-    """Opens a new event file; events from `first_step` on in older ones no longer count."""
-    folder.mkdir(exist_ok=True)
-    before = set(folder.iterdir())
-    events = tensorboardX.SummaryWriter(str(folder), purge_step=first_step)
-    # tensorboardX puts the machine's name at the end of the file name; a count serves as well.
-    for file in set(folder.iterdir()) - before:
-        prefix = ".".join(file.name.split(".")[:4])
-        file.rename(file.with_name(f"{prefix}.{len(before)}"))
-    return events

@@ -1,8 +1,9 @@
 """Training of the high level: PEG-A2C in a maze with oracle movement (paper, Sec. 3.2 and 4.1)."""
 
 import dataclasses
+import pathlib
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +15,10 @@ from eihrl_jax.config import high as high_config
 from eihrl_jax.envs import oracle_maze, postures, raster, subgoals, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.networks import actor_critic
-from eihrl_jax.runs import folders, policies, run_folder, versions
+from eihrl_jax.runs import folders
 from eihrl_jax.runs import progress as progress_lib
+from eihrl_jax.training import loop, parallel
 from eihrl_jax.training import metrics as metrics_lib
-from eihrl_jax.training import parallel
 
 MAY_CHANGE = ("num_devices", "coordinator", "num_processes", "process_id")
 """Options that may differ between the processes of a run, and when it goes on."""
@@ -25,8 +26,10 @@ MAY_CHANGE = ("num_devices", "coordinator", "num_processes", "process_id")
 EVALUATION_STREAM = 1
 """Folded into the seed's key for evaluation, whose draws must not be those of training."""
 
+TreeT = TypeVar("TreeT")
 
-def train(config: high_config.HighConfig, walking: base.Environment | None = None) -> float:
+
+def train(config: high_config.HighConfig, with_physics: base.Environment | None = None) -> float:
     """Trains a high level in a run folder, or goes on with a run that was stopped.
 
     The run folder ends up with the policy. In a run of several processes all must call this; the
@@ -34,8 +37,8 @@ def train(config: high_config.HighConfig, walking: base.Environment | None = Non
 
     Args:
       config: the run's options.
-      walking: where evaluations are made a second time, as `walking/` beside `eval/`: the same task
-        with a robot that walks.
+      with_physics: the same task with physics, where evaluations are made a second time; in
+        metrics.csv they are called `walking/`, beside `eval/`.
 
     Returns:
       Seconds of training past compilation, evaluations and checkpoints included.
@@ -46,44 +49,119 @@ def train(config: high_config.HighConfig, walking: base.Environment | None = Non
     folders.check_free(config.run, resume=config.resume)  # before anything slow
     parallel.connect(config.coordinator, config.num_processes, config.process_id)
     env = make_env(config.task, config.seed)
-    agent = make_agent(env, config)
+    evaluated_in = {"eval": env} if with_physics is None else {"eval": env, "walking": with_physics}
     mesh = parallel.make_mesh(config.num_devices, config.learner.num_workers)
-    with run_folder.RunFolder.create(
-        config.run, config, resume=config.resume, may_change=MAY_CHANGE
-    ) as run:
-        state = parallel.init(agent, config.seed, mesh)
-        restored = run.restore(state)
-        done, state = (0, state) if restored is None else restored
-        num_updates, per_update = config.learner.num_updates, decisions_per_update(agent)
-        title = f"{_title(config.task)} high level"
-        with progress_lib.Progress(
-            title,
-            num_updates * per_update,
+    return loop.run(_Job(config, env, make_agent(env, config), mesh, evaluated_in), config)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Job:
+    """A run of the high level; counts updates, see `loop.Job`.
+
+    Attributes:
+      config: its options.
+      env: the maze, without reset.
+      agent: the learner.
+      mesh: devices over which its workers are spread.
+      evaluated_in: where it is evaluated, by the prefix of the metrics.
+    """
+
+    config: high_config.HighConfig
+    env: oracle_maze.OracleMaze
+    agent: peg_a2c.PegA2C
+    mesh: jax.sharding.Mesh
+    evaluated_in: Mapping[str, base.Environment]
+
+    @property
+    def plan(self) -> loop.Plan:
+        """What the run trains, and when it does what."""
+        return loop.Plan(
+            kind="high",
+            title=f"{_title(self.config.task)} high level",
+            num_steps=self.config.learner.num_updates,
+            log_every=self.config.log_every,
+            evaluate_every=self.config.evaluate_every,
+            checkpoint_every=self.config.checkpoint_every,
+            # Not its length: the schedules of learning rate and entropy depend on it.
+            may_change=MAY_CHANGE,
+            shown={"success": "success", "entropy": "entropy"},
             unit="decisions",
-            done=done * per_update,
-        ) as progress:
-            with progress.compiling("training"):
-                update = parallel.repeated_update(agent, config.log_every, mesh)
-                advance = update.lower(state).compile()
-            with progress.compiling("evaluation"):
-                envs = {"eval": env} | ({} if walking is None else {"walking": walking})
-                limit = int(env.table.mazes.num_decisions.max())
-                evaluate = _compile_evaluations(envs, limit, config, state)
-            while done < num_updates:
-                state, metrics = advance(state)
-                done += config.log_every
-                is_last = done == num_updates
-                row = {"num_decisions": int(state.num_decisions)} | summarise(metrics)
-                row["episodes"] = float(metrics["episodes"].sum())  # that ended since the last row
-                if done % config.evaluate_every == 0 or is_last:
-                    row |= evaluate(state)
-                run.log(done, row)
-                progress.update(done * per_update, _shown(row))
-                if done % config.checkpoint_every == 0 or is_last:
-                    run.save(done, state)
-            seconds = progress.seconds
-        _finish(config, env, run, state)
-    return seconds
+            units_per_step=decisions_per_update(self.agent),
+        )
+
+    def init(self) -> peg_a2c.LearnerState:
+        """Returns the first state, every worker on its device."""
+        return parallel.init(self.agent, self.config.seed, self.mesh)
+
+    def compile_training(self, state: peg_a2c.LearnerState) -> loop.Advance[peg_a2c.LearnerState]:
+        """Compiles `log_every` updates."""
+        update = parallel.repeated_update(self.agent, self.config.log_every, self.mesh)
+        return update.lower(state).compile()
+
+    def compile_evaluation(
+        self, state: peg_a2c.LearnerState
+    ) -> loop.Evaluate[peg_a2c.LearnerState]:
+        """Compiles whole episodes in each environment, subgoals sampled."""
+        measures = {
+            prefix: self._compile_measure(env, state) for prefix, env in self.evaluated_in.items()
+        }
+
+        def evaluate(state: peg_a2c.LearnerState, done: int) -> dict[str, float]:
+            row = {}
+            for prefix, measure in measures.items():
+                means = summarise(measure(*_local((state.params, state.num_updates))))
+                means["reward"] = means["return"] / means["decisions"]
+                row |= {f"{prefix}/{name}": value for name, value in means.items()}
+            return row
+
+        return evaluate
+
+    def _compile_measure(
+        self, env: base.Environment, state: peg_a2c.LearnerState
+    ) -> Callable[..., loop.Metrics]:
+        """Compiles sums over episodes, each of up to the limit of decisions of the longest one."""
+        config = self.config
+        whole = dataclasses.replace(config.learner, window=None)
+        limit = int(self.env.course.mazes.num_decisions.max())
+        agent = peg_a2c.PegA2C(env, actor_critic.make(config.network), whole, limit)
+        stream = jax.random.fold_in(jax.random.key(config.seed), EVALUATION_STREAM)
+
+        def measure(params, num_updates):
+            keys = jax.random.split(
+                jax.random.fold_in(stream, num_updates), config.num_eval_episodes
+            )
+            _, _, counts = jax.vmap(agent.collect_episode, (None, 0))(params, keys)
+            return jax.tree.map(jnp.sum, counts)
+
+        return jax.jit(measure).lower(*_local((state.params, state.num_updates))).compile()
+
+    def begin(
+        self, state: peg_a2c.LearnerState, progress: progress_lib.Progress
+    ) -> peg_a2c.LearnerState:
+        """Returns the state as it is: nothing precedes the first update."""
+        return state
+
+    def row(self, state: peg_a2c.LearnerState, metrics: loop.Metrics) -> dict[str, float]:
+        """Returns means over the episodes that ended, and over the updates."""
+        row = {"num_decisions": float(state.num_decisions)} | summarise(metrics)
+        return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
+
+    def finish(
+        self, path: pathlib.Path, state: peg_a2c.LearnerState
+    ) -> tuple[base.Params, dict[str, Any]]:
+        """Returns the policy; the run leaves nothing else."""
+        task = self.config.task
+        meta = {
+            "maze": _title(task),
+            "robot": robots.load(task.robot).name,
+            "view": dataclasses.asdict(self.env.view),
+            "network": dataclasses.asdict(self.config.network),
+            "movement": {"step": self.env.movement.step, "sigma": self.env.movement.sigma},
+            "config": dataclasses.asdict(task) | dataclasses.asdict(self.config.learner),
+            "num_updates": int(state.num_updates),
+            "num_decisions": int(state.num_decisions),
+        }
+        return state.params, meta
 
 
 def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
@@ -173,76 +251,6 @@ def _title(task: high_config.Task) -> str:
     return f"{task.num_rooms} random rooms" if task.num_rooms else task.maze
 
 
-def _compile_evaluations(
-    envs: Mapping[str, base.Environment],
-    limit: int,
-    config: high_config.HighConfig,
-    state: peg_a2c.LearnerState,
-) -> Callable[[peg_a2c.LearnerState], dict[str, float]]:
-    """Compiles an evaluation in each of some environments, which gives its metrics their prefix."""
-    compiled = {name: _compile_evaluation(env, limit, config, state) for name, env in envs.items()}
-
-    def evaluate(state):
-        found = {name: measure(state) for name, measure in compiled.items()}
-        return {f"{name}/{key}": value for name in found for key, value in found[name].items()}
-
-    return evaluate
-
-
-def _compile_evaluation(
-    env: base.Environment, limit: int, config: high_config.HighConfig, state: peg_a2c.LearnerState
-) -> Callable[[peg_a2c.LearnerState], dict[str, float]]:
-    """Compiles whole episodes of up to `limit` decisions, subgoals sampled."""
-    whole = dataclasses.replace(config.learner, window=None)
-    agent = peg_a2c.PegA2C(env, actor_critic.make(config.network), whole, limit)
-    stream = jax.random.fold_in(jax.random.key(config.seed), EVALUATION_STREAM)
-
-    def measure(params, num_updates):
-        keys = jax.random.split(jax.random.fold_in(stream, num_updates), config.num_eval_episodes)
-        _, _, counts = jax.vmap(agent.collect_episode, (None, 0))(params, keys)
-        return jax.tree.map(jnp.sum, counts)
-
-    compiled = jax.jit(measure).lower(*_local((state.params, state.num_updates))).compile()
-
-    def evaluate(state):
-        found = summarise(compiled(*_local((state.params, state.num_updates))))
-        found["reward"] = found["return"] / found["decisions"]
-        return found
-
-    return evaluate
-
-
-def _local(tree: Any) -> Any:
+def _local(tree: TreeT) -> TreeT:
     """Returns this process's first copy of arrays that are the same everywhere."""
     return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
-
-
-def _shown(row: Mapping[str, float]) -> dict[str, float]:
-    """Picks what the progress bar shows."""
-    return {name: row[name] for name in ("success", "entropy") if name in row}
-
-
-def _finish(
-    config: high_config.HighConfig,
-    env: oracle_maze.OracleMaze,
-    run: run_folder.RunFolder,
-    state: peg_a2c.LearnerState,
-) -> None:
-    """Writes the policy of a run that has reached its end."""
-    policies.save(
-        run.path / policies.FOLDER,
-        kind="high",
-        params=state.params,
-        meta={
-            "maze": _title(config.task),
-            "robot": robots.load(config.task.robot).name,
-            "view": dataclasses.asdict(env.view),
-            "network": dataclasses.asdict(config.network),
-            "movement": {"step": env.movement.step, "sigma": env.movement.sigma},
-            "config": dataclasses.asdict(config.task) | dataclasses.asdict(config.learner),
-            "num_updates": int(state.num_updates),
-            "num_decisions": int(state.num_decisions),
-            "versions": versions.describe(),
-        },
-        overwrite=True,
-    )

@@ -13,7 +13,7 @@ from eihrl_jax.config import low as low_config
 from eihrl_jax.config import presets
 from eihrl_jax.envs import postures
 from eihrl_jax.runs import checkpoint, policies
-from eihrl_jax.training import low
+from eihrl_jax.training import low, low_trainer
 
 
 def _config(run, **changes):
@@ -36,7 +36,7 @@ def _config(run, **changes):
 @pytest.fixture(scope="module")
 def trainer(tmp_path_factory):
     """Compiled for one run, it serves others."""
-    return low.LowTrainer(_config(tmp_path_factory.mktemp("low") / "whole"))
+    return low_trainer.LowTrainer(_config(tmp_path_factory.mktemp("low") / "whole"))
 
 
 @pytest.fixture(scope="module")
@@ -74,14 +74,14 @@ def test_resuming_changes_nothing(trainer, whole_run, tmp_path):
 
 
 def test_starting_from_another_run_goes_on_learning(whole_run, tmp_path):
-    """Under another reward: the learner's count and the memory go on, the iterations begin anew.
+    """Under another reward: the learner's count and its replay go on, the iterations begin anew.
 
     Once begun, the run goes on without the other.
     """
     reward = low_config.LowReward(is_paced=True, beyond_cell=-1.0)
     start = shutil.copytree(whole_run.run, tmp_path / "start")
     config = _config(tmp_path / "second", start_from=start, reward=reward, num_iterations=6)
-    trainer = low.LowTrainer(config)
+    trainer = low_trainer.LowTrainer(config)
     low.train_with(trainer, config)
     shutil.rmtree(start)
     config = dataclasses.replace(config, num_iterations=12, resume=True)
@@ -89,7 +89,7 @@ def test_starting_from_another_run_goes_on_learning(whole_run, tmp_path):
     template = jax.eval_shape(trainer.init, jax.random.key(0))
     step, state = checkpoint.restore(config.run / "checkpoints", template)
     assert (step, int(state.iteration), int(state.learner.num_updates)) == (12, 12, 48)
-    assert int(state.memory.size) == 8 * (4 + 12 + 12)
+    assert int(state.replay.size) == 8 * (4 + 12 + 12)
 
 
 def test_start_that_does_not_fit_is_refused(whole_run, tmp_path):
@@ -109,7 +109,9 @@ def test_other_options_are_refused_on_resume(whole_run):
 
 @pytest.mark.parametrize("preset", presets.LOW.values(), ids=lambda preset: preset.preset)
 def test_presets_build(preset):
-    trainer = low.LowTrainer(dataclasses.replace(preset, num_rooms=min(preset.num_rooms, 2)))
+    trainer = low_trainer.LowTrainer(
+        dataclasses.replace(preset, num_rooms=min(preset.num_rooms, 2))
+    )
     sizes = {"best": 30, "paper": 35, "point": 5, "swimmer": 12, "humanoid": 48}
     assert trainer.num_features == sizes[preset.preset]
 
@@ -129,4 +131,4 @@ def test_presets_build(preset):
 )
 def test_bad_options_are_named(tmp_path, change, message):
     with pytest.raises(base.UserError, match=message):
-        low.LowTrainer(_config(tmp_path / "run", **change))
+        low_trainer.LowTrainer(_config(tmp_path / "run", **change))

@@ -1,0 +1,247 @@
+"""What the low level's training computes: it acts, stores, learns, measures (paper, Sec. 3.2)."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from eihrl_jax import base, robots
+from eihrl_jax.agents import droq
+from eihrl_jax.agents import replay as replay_lib
+from eihrl_jax.config import low as low_config
+from eihrl_jax.envs import experience, locomotion, low_obs, rooms, subgoals, wrappers
+from eihrl_jax.ops import tree
+from eihrl_jax.physics import engines
+
+
+class LowState(struct.PyTreeNode):
+    """All that a run needs to go on. N: number of environments.
+
+    Attributes:
+      learner: networks and optimisers.
+      replay: stored steps.
+      envs: environments with leading axis N.
+      key: of what comes next.
+      iteration: int32, vector steps done.
+    """
+
+    learner: droq.DroqState
+    replay: replay_lib.Replay
+    envs: base.EnvState
+    key: Key[Array, ""]
+    iteration: Int[Array, ""]
+
+
+class LowTrainer:
+    """The functions of one run; holds no state that changes."""
+
+    def __init__(self, config: low_config.LowConfig):
+        """Builds physics, environments and learner.
+
+        Args:
+          config: the run's options.
+
+        Raises:
+          base.UserError: the robot is unknown.
+        """
+        self.config = config
+        self.robot = robots.load(config.robot)
+        engine = engines.make(self.robot, config.engine)
+        self._num_actions = engine.model.nu
+
+        floor = rooms.open_floor()
+        if config.num_rooms:
+            floor = rooms.random_rooms(config.num_rooms, config.seed)
+        make_env = functools.partial(
+            locomotion.Locomotion,
+            engine,
+            reward_options=config.reward,
+            episode_steps=config.episode_steps,
+            ends_at_fall=config.ends_at_fall,
+        )
+        self._env = wrappers.AutoReset(make_env(floor))
+        self._test_env = wrappers.AutoReset(make_env(rooms.open_floor()))
+
+        obs = jax.eval_shape(self._env.reset, jax.random.key(0)).obs
+        self.num_features = jax.eval_shape(self._features, obs).shape[0]
+        self._learner = droq.Droq(self.num_features, self._num_actions, config.droq)
+
+        # Each is compiled once for all runs that the trainer is used for.
+        self.jit_init = jax.jit(self.init)
+        self.jit_warm_up = jax.jit(self.warm_up, donate_argnums=0)
+        self.jit_advance = jax.jit(self.advance, donate_argnums=0)
+        self.jit_measure = jax.jit(self.measure, static_argnums=(2, 3))
+        self.jit_record_postures = jax.jit(self.record_postures)
+
+    def init(self, key: Key[Array, ""]) -> LowState:
+        """Returns the state of a run that is about to start, nothing being stored yet."""
+        key, learner_key, env_key = jax.random.split(key, 3)
+        envs = jax.vmap(self._env.reset)(jax.random.split(env_key, self.config.num_envs))
+        ctrl = jnp.zeros((self.config.num_envs, self._num_actions))
+        stored = jax.eval_shape(self._step, envs, ctrl)[1]
+        return LowState(
+            learner=self._learner.init(learner_key),
+            replay=replay_lib.init(replay_lib.row(stored), self.config.capacity),
+            envs=envs,
+            key=key,
+            iteration=jnp.int32(0),
+        )
+
+    def warm_up(self, state: LowState) -> LowState:
+        """Stores the first steps, whose controls are random."""
+
+        def body(state: LowState, _: None) -> tuple[LowState, None]:
+            key, ctrl_key = jax.random.split(state.key)
+            shape = (self.config.num_envs, self._num_actions)
+            ctrl = jax.random.uniform(ctrl_key, shape, minval=-1.0, maxval=1.0)
+            envs, stored = self._step(state.envs, ctrl)
+            replay = replay_lib.add(state.replay, stored)
+            return state.replace(envs=envs, replay=replay, key=key), None
+
+        return jax.lax.scan(body, state, length=self.config.warmup_iterations)[0]
+
+    def advance(self, state: LowState) -> tuple[LowState, dict[str, Float[Array, ""]]]:
+        """Runs `log_every` iterations: each is one step in every environment, then updates.
+
+        Returns:
+          The new state, and the means of the learner's and the environments' metrics.
+        """
+        length = self.config.log_every
+        state, (learned, stepped) = jax.lax.scan(self._iterate, state, length=length)
+        metrics = {f"learner/{name}": jnp.nanmean(value) for name, value in learned.items()}
+        return state, metrics | subgoals.summarise(stepped)
+
+    def sample(
+        self, actor_params: base.Params, obs: low_obs.LowObs, key: Key[Array, ""]
+    ) -> Float[Array, " nu"]:
+        """Draws the controls of one robot."""
+        action = self._learner.sample(actor_params, self._features(obs), key)
+        return low_obs.ctrl_from_action(action, obs, self.robot, self.config.low_input)
+
+    def mode(self, actor_params: base.Params, obs: low_obs.LowObs) -> Float[Array, " nu"]:
+        """Returns the controls of one robot without exploration."""
+        action = self._learner.mode(actor_params, self._features(obs))
+        return low_obs.ctrl_from_action(action, obs, self.robot, self.config.low_input)
+
+    def measure(
+        self,
+        actor_params: base.Params,
+        key: Key[Array, ""],
+        num_envs: int = 64,
+        num_subgoals: int = 12,
+    ) -> dict[str, Float[Array, ""]]:
+        """Returns the subgoal statistics of the deterministic policy on open floor."""
+        return subgoals.summarise(self._roll(actor_params, key, num_envs, num_subgoals)[1])
+
+    def record_postures(
+        self, actor_params: base.Params, key: Key[Array, ""]
+    ) -> Float[Array, "K nq"]:
+        """Records `num_postures` postures of the walking robot, x and y zeroed.
+
+        They come from deterministic walking with random subgoals, the first subgoal left out, and
+        are spread evenly over environments and time (paper, Sec. 3.2).
+        """
+        qpos, _ = self._roll(actor_params, key, num_envs=64, num_subgoals=12)
+        qpos = qpos[self.robot.steps_per_subgoal :].reshape(-1, qpos.shape[-1])
+        index = jnp.linspace(0, qpos.shape[0] - 1, self.config.num_postures).astype(jnp.int32)
+        return qpos[index].at[:, :2].set(0.0)
+
+    def meta(self) -> dict[str, Any]:
+        """Returns what must stand beside the parameters for them to be used."""
+        return {
+            "robot": self.robot.name,
+            "low_input": vars(self.config.low_input),
+            "hidden": list(self.config.droq.hidden),
+            "num_features": self.num_features,
+            "num_actions": self._num_actions,
+        }
+
+    def _features(self, obs: low_obs.LowObs) -> Float[Array, " F"]:
+        return low_obs.features(obs, self.robot, self.config.low_input)
+
+    def _iterate(
+        self, state: LowState, _: None
+    ) -> tuple[LowState, tuple[dict[str, Array], dict[str, Array]]]:
+        """Takes one step in every environment, then updates the learner."""
+        key, act_key, learn_key = jax.random.split(state.key, 3)
+
+        # Act, and store what happened.
+        act_keys = jax.random.split(act_key, self.config.num_envs)
+        sample = jax.vmap(self.sample, (None, 0, 0))
+        ctrl = sample(state.learner.actor_params, state.envs.obs, act_keys)
+        envs, stored = self._step(state.envs, ctrl)
+        replay = replay_lib.add(state.replay, stored)
+
+        # Learn. All batches are drawn outside the loop over updates, into which XLA would copy the
+        # whole replay otherwise.
+        count = self.config.updates_per_iteration
+        batch_key, update_key = jax.random.split(learn_key)
+        batches = self._draw(replay, count, batch_key)
+        learner, learned = jax.lax.scan(
+            lambda learner, batch: self._learner.update(learner, *batch),
+            state.learner,
+            (batches, jax.random.split(update_key, count)),
+        )
+
+        state = LowState(
+            learner=learner, replay=replay, envs=envs, key=key, iteration=state.iteration + 1
+        )
+        return state, (learned, envs.metrics)
+
+    def _step(
+        self, envs: base.EnvState, ctrl: Float[Array, "N nu"]
+    ) -> tuple[base.EnvState, experience.Experience]:
+        """Steps every environment, and returns what is to be stored of it."""
+        stepped = jax.vmap(self._env.step)(envs, ctrl)
+        return stepped, jax.vmap(experience.of_step)(envs, ctrl, stepped)
+
+    def _draw(
+        self, replay: replay_lib.Replay, num_batches: int, key: Key[Array, ""]
+    ) -> base.Transition:
+        """Draws batches with leading axes [num_batches, B], relabelled if the run says so."""
+        row_key, direction_key, share_key = jax.random.split(key, 3)
+        shape = (num_batches, self.config.droq.batch_size)
+        rows = replay_lib.sample(replay, shape, row_key)
+
+        if self.config.relabel != "never":
+            direction = jax.random.randint(direction_key, shape, 0, base.NUM_DIRECTIONS)
+            is_seen_anew = jax.random.bernoulli(share_key, self.config.relabel_share, shape)
+            rows = jax.vmap(jax.vmap(self._see_anew))(rows, direction, is_seen_anew)
+
+        # The reward is computed now, not when the step is stored: it depends on the direction.
+        transition = functools.partial(
+            experience.transition,
+            robot=self.robot,
+            input_options=self.config.low_input,
+            reward_options=self.config.reward,
+            gamma=self.config.droq.gamma,
+        )
+        return jax.vmap(jax.vmap(transition))(rows)
+
+    def _see_anew(
+        self, row: experience.Experience, direction: Int[Array, ""], is_seen_anew: Bool[Array, ""]
+    ) -> experience.Experience:
+        """Returns a stored step, or what it would be if `direction` had been asked for."""
+        if self.config.relabel == "direction":
+            anew = experience.relabel(row, direction)
+        else:
+            anew = experience.restart(row, direction, self.robot)
+        return tree.where(is_seen_anew, anew, row)
+
+    def _roll(
+        self, actor_params: base.Params, key: Key[Array, ""], num_envs: int, num_subgoals: int
+    ) -> tuple[Float[Array, "T N nq"], dict[str, Float[Array, "T N"]]]:
+        """Walks deterministically on open floor; returns qpos and metrics of every step."""
+        env_key, _ = jax.random.split(key)  # The second half is free; splitting keeps the draws.
+        envs = jax.vmap(self._test_env.reset)(jax.random.split(env_key, num_envs))
+
+        def body(envs: base.EnvState, _: None) -> tuple[base.EnvState, tuple[Array, dict]]:
+            ctrl = jax.vmap(self.mode, (None, 0))(actor_params, envs.obs)
+            envs = jax.vmap(self._test_env.step)(envs, ctrl)
+            return envs, (envs.inner.physics.qpos, envs.metrics)
+
+        length = num_subgoals * self.robot.steps_per_subgoal
+        return jax.lax.scan(body, envs, length=length)[1]
