@@ -187,11 +187,11 @@ def baseline_options(config: CompareConfig, run: Run) -> baselines_config.Baseli
 
 def _train_ours(options: high_config.HighConfig) -> None:
     """Trains a run of ours, evaluated with physics too."""
-    high.train(options, walking=_with_physics(options))
+    high.train(options, with_physics=_with_physics(options))
 
 
 def _with_physics(options: high_config.HighConfig) -> hierarchy.Hierarchy:
-    """Returns the same task with a robot that walks, driven by its shipped low level."""
+    """Returns the same task with physics: the robot walks, driven by its shipped low level."""
     task, robot = options.task, robots.load(options.task.robot)
     oracle = high.make_env(task, options.seed)
     low_policy = loading.load_low(task.robot, robot)

@@ -1,10 +1,9 @@
-"""Training of the baselines: walk, learn, evaluate, checkpoint, whatever the method."""
+"""Training of the baselines, whatever the method: in a maze, or in a task of their authors."""
 
 import dataclasses
 import functools
-import math
-from collections.abc import Callable
-from typing import Any
+import pathlib
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +16,23 @@ from eihrl_jax.config import hess as hess_config
 from eihrl_jax.envs import goal_maze, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.physics import engines
-from eihrl_jax.runs import checkpoint, policies, run_folder, versions
+from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import progress as progress_lib
+from eihrl_jax.training import loop
 from eihrl_jax.training import metrics as metrics_lib
+
+State: TypeAlias = Any
+"""Each baseline has a state and a carry of its own, which nothing looks into here."""
+
+
+@runtime_checkable
+class RobotEnvironment(base.Environment, Protocol):
+    """An environment of one robot."""
+
+    @property
+    def robot(self) -> robot_lib.Robot:
+        """Which robot it is."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,15 +47,15 @@ class Arena:
     """
 
     title: str
-    env: Any
+    env: RobotEnvironment
     side_xy: tuple[int, int]
     baseline: interface.Baseline
 
     @functools.cached_property
     def advance(self) -> jax.stages.Wrapped:
-        """Walks and learns: (state, number of rounds) to (state, metrics of each)."""
+        """Acts and learns: (state, number of rounds) to (state, metrics of each)."""
 
-        def advance(state: Any, num_rounds: int) -> tuple[Any, dict[str, Array]]:
+        def advance(state: State, num_rounds: int) -> tuple[State, dict[str, Array]]:
             return jax.lax.scan(
                 lambda state, _: self.baseline.advance(state), state, length=num_rounds
             )
@@ -51,8 +64,30 @@ class Arena:
 
     @functools.cached_property
     def evaluate(self) -> jax.stages.Wrapped:
-        """Does what `measure` does: (policy, key, number of episodes) to sums of metrics."""
-        return jax.jit(functools.partial(measure, self), static_argnums=2)
+        """Runs episodes without exploration.
+
+        (policy, key, number of episodes) to sums of the episodes' metrics, and their number.
+        """
+        return jax.jit(self._evaluate, static_argnums=2)
+
+    def _evaluate(
+        self, policy: base.Params, key: Key[Array, ""], num_episodes: int
+    ) -> dict[str, Float[Array, ""]]:
+        env_key, _ = jax.random.split(key)  # Acting draws nothing; splitting keeps the episodes.
+        envs = jax.vmap(self.env.reset)(jax.random.split(env_key, num_episodes))
+        carries = jax.tree.map(lambda leaf: jnp.stack([leaf] * num_episodes), self.baseline.start())
+
+        def is_running(pair: tuple[base.EnvState, State]) -> Array:
+            return ~(pair[0].terminated | pair[0].truncated).all()
+
+        def body(pair: tuple[base.EnvState, State]) -> tuple[base.EnvState, State]:
+            envs, carries = pair
+            ctrl, carries = jax.vmap(self.baseline.act, (None, 0, 0))(policy, carries, envs.obs)
+            return jax.vmap(self.env.step)(envs, ctrl), carries
+
+        envs, _ = jax.lax.while_loop(is_running, body, (envs, carries))
+        sums = {f"sum_{name}": value.sum() for name, value in envs.metrics.items()}
+        return sums | {"episodes": jnp.float32(num_episodes)}
 
 
 def make_arena(config: config_lib.BaselineConfig) -> Arena:
@@ -95,108 +130,83 @@ def train(config: config_lib.BaselineConfig) -> None:
 
 
 def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
-    """Does what `train` does, where and with what `arena` says.
+    """Trains as `train` does, where and with what `arena` says.
 
     Raises:
       base.UserError: the run folder is not as it should be.
     """
-    baseline, per_row = arena.baseline, arena.baseline.steps_per_round * config.log_rounds
-    walked = checkpoint.last_step(config.run / run_folder.CHECKPOINTS) or 0
-    if config.resume and walked - per_row >= config.num_steps:
-        raise base.UserError(
-            f"num_steps = {config.num_steps} is less than {config.run} has walked: {walked}"
+    loop.run(_Job(arena, config), config)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Job:
+    """A run of a baseline; counts control steps of all environments together, see `loop.Job`."""
+
+    arena: Arena
+    config: config_lib.BaselineConfig
+
+    @property
+    def plan(self) -> loop.Plan:
+        """What the run trains, and when it does what."""
+        per_row = self.arena.baseline.steps_per_round * self.config.log_rounds
+        return loop.Plan(
+            kind="baseline",
+            title=self.arena.title,
+            num_steps=self.config.num_steps,
+            log_every=per_row,
+            evaluate_every=per_row * self.config.evaluate_every,
+            checkpoint_every=per_row * self.config.checkpoint_every,
+            length_option="num_steps",
+            shown={"eval/success": "success", "success": "while exploring"},
         )
-    with run_folder.RunFolder.create(
-        config.run, config, resume=config.resume, may_change={"num_steps"}
-    ) as run:
-        init_key, measure_key = jax.random.split(jax.random.key(config.seed))
-        state = jax.jit(baseline.init)(init_key)
-        restored = run.restore(state)
-        done, state = (0, state) if restored is None else restored
-        with progress_lib.Progress(arena.title, config.num_steps, done=done) as progress:
-            advance, evaluate = _compile(arena, config, state, progress)
-            while done < config.num_steps:
-                state, metrics = advance(state)
-                done += per_row
-                row, count = metrics_lib.summarise(metrics), done // per_row
-                row["episodes"] = float(metrics["episodes"].sum())  # that ended since the last row
-                is_last = done >= config.num_steps
-                if count % config.evaluate_every == 0 or is_last:
-                    key = jax.random.fold_in(measure_key, count)
-                    found = metrics_lib.summarise(evaluate(baseline.policy(state), key))
-                    found["reward"] = found["return"] / found["steps"]
-                    row |= {f"eval/{name}": value for name, value in found.items()}
-                run.log(done, row)
-                progress.update(done, _shown(row))
-                if count % config.checkpoint_every == 0 or is_last:
-                    run.save(done, state)
-        _finish(config, arena, run, state)
 
+    @functools.cached_property
+    def _keys(self) -> Key[Array, "2"]:
+        """Keys of the first state and of evaluations."""
+        return jax.random.split(jax.random.key(self.config.seed))
 
-def measure(
-    arena: Arena, policy: dict[str, Any], key: Key[Array, ""], num_episodes: int
-) -> dict[str, Float[Array, ""]]:
-    """Runs episodes without exploration; returns sums of their metrics and their number."""
-    env_key, _ = jax.random.split(key)  # Acting draws nothing; splitting keeps the episodes.
-    envs = jax.vmap(arena.env.reset)(jax.random.split(env_key, num_episodes))
-    carries = jax.tree.map(lambda leaf: jnp.stack([leaf] * num_episodes), arena.baseline.start())
+    def init(self) -> State:
+        """Returns the first state."""
+        return jax.jit(self.arena.baseline.init)(self._keys[0])
 
-    def is_running(loop: tuple[base.EnvState, Any]) -> Array:
-        return ~(loop[0].terminated | loop[0].truncated).all()
+    def compile_training(self, state: State) -> loop.Advance[State]:
+        """Compiles the rounds of a row."""
+        # Shapes alone: a state that was restored is the same program's as a new one.
+        shapes = jax.eval_shape(lambda: state)
+        return self.arena.advance.lower(shapes, self.config.log_rounds).compile()
 
-    def body(loop: tuple[base.EnvState, Any]) -> tuple[base.EnvState, Any]:
-        envs, carries = loop
-        ctrl, carries = jax.vmap(arena.baseline.act, (None, 0, 0))(policy, carries, envs.obs)
-        return jax.vmap(arena.env.step)(envs, ctrl), carries
+    def compile_evaluation(self, state: State) -> loop.Evaluate[State]:
+        """Compiles episodes without exploration."""
+        baseline = self.arena.baseline
+        shapes = jax.eval_shape(lambda: (baseline.policy(state), jax.random.key(0)))
+        measure = self.arena.evaluate.lower(*shapes, self.config.num_eval_episodes).compile()
+        per_row = self.plan.log_every
 
-    envs, _ = jax.lax.while_loop(is_running, body, (envs, carries))
-    sums = {f"sum_{name}": value.sum() for name, value in envs.metrics.items()}
-    return sums | {"episodes": jnp.float32(num_episodes)}
+        def evaluate(state: State, done: int) -> dict[str, float]:
+            key = jax.random.fold_in(self._keys[1], done // per_row)
+            means = metrics_lib.summarise(measure(baseline.policy(state), key))
+            means["reward"] = means["return"] / means["steps"]
+            return {f"eval/{name}": value for name, value in means.items()}
 
+        return evaluate
 
-def _compile(
-    arena: Arena,
-    config: config_lib.BaselineConfig,
-    state: Any,
-    progress: progress_lib.Progress,
-) -> tuple[Callable, Callable]:
-    """Compiles training and evaluation ahead, so that the time it takes can be told."""
-    # Shapes alone: a state that was restored is the same program's as a new one.
-    shapes = jax.eval_shape(lambda: state)
-    policy, key = jax.eval_shape(lambda: (arena.baseline.policy(state), jax.random.key(0)))
-    with progress.compiling("training"):
-        advance = arena.advance.lower(shapes, config.log_rounds).compile()
-    with progress.compiling("evaluation"):
-        evaluate = arena.evaluate.lower(policy, key, config.num_eval_episodes).compile()
-    return advance, evaluate
+    def begin(self, state: State, progress: progress_lib.Progress) -> State:
+        """Returns the state as it is: a baseline's random steps are part of its first rounds."""
+        return state
 
+    def row(self, state: State, metrics: loop.Metrics) -> dict[str, float]:
+        """Returns means over the episodes that ended, and over the rounds."""
+        row = metrics_lib.summarise(metrics)
+        return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
 
-def _shown(row: dict[str, float]) -> dict[str, float]:
-    """Picks what the progress bar shows."""
-    names = {"eval/success": "success", "success": "while exploring"}
-    return {
-        short: row[name]
-        for name, short in names.items()
-        if name in row and math.isfinite(row[name])
-    }
-
-
-def _finish(
-    config: config_lib.BaselineConfig, arena: Arena, run: run_folder.RunFolder, state: Any
-) -> None:
-    """Writes the policy of a run that has reached its end."""
-    policies.save(
-        run.path / policies.FOLDER,
-        kind="baseline",
-        params=arena.baseline.policy(state),
-        meta={
-            "method": config.method,
-            "maze": config.maze,
-            "robot": arena.env.robot.name,
-            "side_xy": arena.side_xy,
-            "config": dataclasses.asdict(config),
+    def finish(self, path: pathlib.Path, state: State) -> tuple[base.Params, dict[str, Any]]:
+        """Returns the policy; the run leaves nothing else."""
+        meta = {
+            "method": self.config.method,
+            "maze": self.config.maze,
+            "robot": self.arena.env.robot.name,
+            "side_xy": self.arena.side_xy,
+            "config": dataclasses.asdict(self.config),
             "num_steps": int(state.num_steps),
-            "versions": versions.describe(),
-        },
-        overwrite=True,
-    )
+        }
+        return self.arena.baseline.policy(state), meta

@@ -20,10 +20,10 @@ from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import loop, parallel
 from eihrl_jax.training import metrics as metrics_lib
 
-MAY_CHANGE = ("num_devices", "coordinator", "num_processes", "process_id")
+_MAY_CHANGE = ("num_devices", "coordinator", "num_processes", "process_id")
 """Options that may differ between the processes of a run, and when it goes on."""
 
-EVALUATION_STREAM = 1
+_EVALUATION_STREAM = 1
 """Folded into the seed's key for evaluation, whose draws must not be those of training."""
 
 TreeT = TypeVar("TreeT")
@@ -49,9 +49,10 @@ def train(config: high_config.HighConfig, with_physics: base.Environment | None 
     folders.check_free(config.run, resume=config.resume)  # before anything slow
     parallel.connect(config.coordinator, config.num_processes, config.process_id)
     env = make_env(config.task, config.seed)
-    evaluated_in = {"eval": env} if with_physics is None else {"eval": env, "walking": with_physics}
+    agent = make_agent(env, config)
     mesh = parallel.make_mesh(config.num_devices, config.learner.num_workers)
-    return loop.run(_Job(config, env, make_agent(env, config), mesh, evaluated_in), config)
+    evaluated_in = {"eval": env} if with_physics is None else {"eval": env, "walking": with_physics}
+    return loop.run(_Job(config, env, agent, mesh, evaluated_in), config)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,7 +84,7 @@ class _Job:
             evaluate_every=self.config.evaluate_every,
             checkpoint_every=self.config.checkpoint_every,
             # Not its length: the schedules of learning rate and entropy depend on it.
-            may_change=MAY_CHANGE,
+            may_change=_MAY_CHANGE,
             shown={"success": "success", "entropy": "entropy"},
             unit="decisions",
             units_per_step=decisions_per_update(self.agent),
@@ -122,9 +123,9 @@ class _Job:
         """Compiles sums over episodes, each of up to the limit of decisions of the longest one."""
         config = self.config
         whole = dataclasses.replace(config.learner, window=None)
-        limit = int(self.env.course.mazes.num_decisions.max())
+        limit = int(self.env.table.mazes.num_decisions.max())
         agent = peg_a2c.PegA2C(env, actor_critic.make(config.network), whole, limit)
-        stream = jax.random.fold_in(jax.random.key(config.seed), EVALUATION_STREAM)
+        stream = jax.random.fold_in(jax.random.key(config.seed), _EVALUATION_STREAM)
 
         def measure(params, num_updates):
             keys = jax.random.split(

@@ -7,7 +7,7 @@ import dataclasses
 import math
 import pathlib
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from jaxtyping import Array
 
@@ -58,6 +58,7 @@ class Plan:
     units_per_step: int = 1
 
 
+@runtime_checkable
 class Job(Protocol[StateT]):
     """What is trained; its state holds all that a run needs to go on, random keys included."""
 
@@ -99,6 +100,7 @@ class Job(Protocol[StateT]):
         ...
 
 
+@runtime_checkable
 class Options(Protocol):
     """What the config of every run has."""
 
