@@ -14,11 +14,12 @@ import json
 import pathlib
 import shutil
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar, overload
 
 import jax
 import numpy as np
 import orbax.checkpoint as ocp
+from jaxtyping import PyTree
 
 from eihrl_jax import base
 
@@ -29,8 +30,14 @@ _HIDDEN = ".incomplete-"
 _FORMAT = 1
 _MANIFEST = "manifest.json"
 
+TreeT = TypeVar("TreeT")
 
-def save(folder: pathlib.Path, step: int, state: Any, *, keep: int = KEEP) -> pathlib.Path:
+
+class StructureError(base.UserError):
+    """What a folder holds is whole, but has other arrays than those that are needed."""
+
+
+def save(folder: pathlib.Path, step: int, state: PyTree, *, keep: int = KEEP) -> pathlib.Path:
     """Writes a checkpoint, synchronously, then removes all but the last `keep`.
 
     A step that is already there stays as it is: one run holds one state per step.
@@ -59,7 +66,7 @@ def last_step(folder: pathlib.Path) -> int | None:
     return max(_steps(folder), default=None)
 
 
-def restore(folder: pathlib.Path, template: Any) -> tuple[int, Any] | None:
+def restore(folder: pathlib.Path, template: TreeT) -> tuple[int, TreeT] | None:
     """Reads the last complete checkpoint of a run.
 
     Args:
@@ -77,6 +84,9 @@ def restore(folder: pathlib.Path, template: Any) -> tuple[int, Any] | None:
         return None
     try:
         return steps[-1], read(folder / f"{steps[-1]:012d}", template)
+    except StructureError as error:
+        origin = "it comes from other options or from another version of eihrl_jax"
+        raise base.UserError(f"{error}; {origin}") from None
     except base.UserError as error:
         if len(steps) == 1:
             raise
@@ -86,7 +96,7 @@ def restore(folder: pathlib.Path, template: Any) -> tuple[int, Any] | None:
 
 def write(
     path: pathlib.Path,
-    tree: Any,
+    tree: PyTree,
     *,
     files: Mapping[str, str] | None = None,
     overwrite: bool = False,
@@ -113,9 +123,11 @@ def write(
             raise base.UserError(f"{path} exists already and is not overwritten")
         path.parent.mkdir(parents=True, exist_ok=True)
         _clean(path.parent)
+
     ocp.multihost.sync_global_processes("checkpoint: prepared")
     with _checkpointer() as checkpointer:
         checkpointer.save((hidden / "arrays").absolute(), tree)
+
     if jax.process_index() == 0:
         # Orbax notes the folder it wrote to; a checkpoint is given away without its origin.
         (hidden / "arrays" / "commit_success.txt").unlink(missing_ok=True)
@@ -123,11 +135,16 @@ def write(
             (hidden / name).write_text(text)
         manifest = {"format": _FORMAT, "arrays": describe(tree), "files": _checksums(hidden)}
         (hidden / _MANIFEST).write_text(json.dumps(manifest, indent=1))
+        # The one moment at which the checkpoint comes to be.
         hidden.rename(path)
     ocp.multihost.sync_global_processes("checkpoint: complete")
 
 
-def read(path: pathlib.Path, template: Any = None) -> Any:
+@overload
+def read(path: pathlib.Path) -> PyTree: ...
+@overload
+def read(path: pathlib.Path, template: TreeT) -> TreeT: ...
+def read(path: pathlib.Path, template: PyTree = None) -> PyTree:
     """Reads a tree that `write` wrote, after checking every byte of it.
 
     Args:
@@ -135,13 +152,15 @@ def read(path: pathlib.Path, template: Any = None) -> Any:
       template: a tree of the same structure; without it nested dicts of arrays are returned.
 
     Raises:
-      UserError: it is damaged, or holds other arrays than the template.
+      StructureError: it holds other arrays than the template.
+      UserError: it is damaged.
     """
     manifest = _manifest(path)
     _check_files(path, manifest["files"])
     if template is None:
         template = _nested(manifest["arrays"], path)
-    _check_same(path, manifest["arrays"], describe(template))
+    _check_kinds(path, manifest["arrays"], describe(template))
+
     restore_args = ocp.checkpoint_utils.construct_restore_args(template)
     arguments = ocp.args.PyTreeRestore(item=template, restore_args=restore_args)
     with _checkpointer() as checkpointer:
@@ -162,11 +181,11 @@ def read_file(path: pathlib.Path, name: str) -> str:
 
 
 def is_complete(path: pathlib.Path) -> bool:
-    """Tells whether a folder is something that `write` wrote."""
+    """Returns whether a folder is something that `write` wrote."""
     return (path / _MANIFEST).is_file()
 
 
-def describe(tree: Any) -> dict[str, str]:
+def describe(tree: PyTree) -> dict[str, str]:
     """Returns type and shape of every leaf of a tree, by its path.
 
     >>> describe({"actor": {"bias": np.zeros(3, np.float32)}})
@@ -176,8 +195,9 @@ def describe(tree: Any) -> dict[str, str]:
     return {jax.tree_util.keystr(key, simple=True, separator="/"): _kind(x) for key, x in leaves}
 
 
-def _kind(leaf: Any) -> str:
-    array = leaf if hasattr(leaf, "dtype") else np.asarray(leaf)
+def _kind(leaf: jax.typing.ArrayLike | jax.ShapeDtypeStruct) -> str:
+    is_array = isinstance(leaf, jax.Array | jax.ShapeDtypeStruct | np.ndarray)
+    array = leaf if is_array else np.asarray(leaf)
     return f"{array.dtype}[{','.join(map(str, array.shape))}]"
 
 
@@ -213,7 +233,8 @@ def _checksum(path: pathlib.Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _manifest(path: pathlib.Path) -> dict[str, Any]:
+def _manifest(path: pathlib.Path) -> dict[str, Any]:  # JSON
+    """Reads what a folder should hold."""
     if not is_complete(path):
         raise base.UserError(f"{path} is no checkpoint: it has no {_MANIFEST}")
     try:
@@ -242,46 +263,47 @@ def _check_files(path: pathlib.Path, files: dict[str, str]) -> None:
 def _check_file(path: pathlib.Path, name: str, expected: str) -> None:
     if not (path / name).is_file():
         raise base.UserError(f"{path} is damaged: {name} is missing")
-    found = _checksum(path / name)
-    if found != expected:
+    checksum = _checksum(path / name)
+    if checksum != expected:
         raise base.UserError(
-            f"{path} is damaged: {name} has sha256 {found[:12]}, expected {expected[:12]}"
+            f"{path} is damaged: {name} has sha256 {checksum[:12]}, expected {expected[:12]}"
         )
 
 
-def check_same(path: pathlib.Path, found: Any, expected: Any) -> None:
+def check_same(path: pathlib.Path, tree: PyTree, expected: PyTree) -> None:
     """Checks that a tree read from a folder has the structure, shapes and types of another one.
 
     Args:
       path: the folder.
-      found: what was read there.
+      tree: what was read there.
       expected: a tree such as is needed, arrays or their shapes.
 
     Raises:
-      UserError: it is another one.
+      StructureError: it is another one.
     """
-    _check_same(path, describe(found), describe(expected))
+    _check_kinds(path, describe(tree), describe(expected))
 
 
-def _check_same(path: pathlib.Path, found: dict[str, str], expected: dict[str, str]) -> None:
-    for name in [*expected, *found]:
-        left, right = found.get(name, "nothing"), expected.get(name, "nothing")
-        if left != right:
-            raise base.UserError(
-                f"{path} holds another network or state: {name} is {left}, expected {right}"
+def _check_kinds(path: pathlib.Path, kinds: dict[str, str], expected: dict[str, str]) -> None:
+    for name in [*expected, *kinds]:
+        kind, wanted = kinds.get(name, "nothing"), expected.get(name, "nothing")
+        if kind != wanted:
+            raise StructureError(
+                f"{path} holds another network or state: {name} is {kind}, expected {wanted}"
             )
 
 
-def _nested(arrays: dict[str, str], path: pathlib.Path) -> dict[str, Any]:
+def _nested(arrays: dict[str, str], path: pathlib.Path) -> PyTree:
     """Builds nested dicts of abstract arrays from a manifest, placed on the default device."""
     device = jax.sharding.SingleDeviceSharding(jax.devices()[0])
-    tree: dict[str, Any] = {}
+    tree: dict[str, Any] = {}  # Dicts in dicts, to any depth.
     for name, kind in arrays.items():
         *parents, last = name.split("/")
-        dtype, _, shape = kind.removesuffix("]").partition("[")
         node = tree
         for parent in parents:
             node = node.setdefault(parent, {})
+
+        dtype, _, shape = kind.removesuffix("]").partition("[")
         sizes = tuple(int(size) for size in shape.split(",") if size)
         try:
             node[last] = jax.ShapeDtypeStruct(sizes, np.dtype(dtype), sharding=device)

@@ -7,13 +7,15 @@ steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run 
 
 import json
 import pathlib
-from collections.abc import Iterable, Mapping
-from typing import Any, Literal
+from collections.abc import Iterable
+from typing import Any, Literal, TypeAlias
 
 from eihrl_jax import base
 from eihrl_jax.runs import checkpoint
 
 Kind = Literal["high", "low", "baseline"]
+Meta: TypeAlias = dict[str, Any]
+"""What is told about a policy in its meta.json: JSON values by name."""
 
 _NOUNS: dict[Kind, str] = {
     "high": "high-level policy",
@@ -32,8 +34,8 @@ def save(
     path: pathlib.Path,
     *,
     kind: Kind,
-    params: Any,
-    meta: Mapping[str, Any],
+    params: base.Params,
+    meta: Meta,
     overwrite: bool = False,
 ) -> None:
     """Writes a policy to the new folder `path`, which appears only when it is complete.
@@ -55,7 +57,7 @@ def save(
     checkpoint.write(path, {"params": params}, files={"meta.json": text}, overwrite=overwrite)
 
 
-def load(path: pathlib.Path, *, kind: Kind, robot: str | None = None) -> tuple[Any, dict[str, Any]]:
+def load(path: pathlib.Path, *, kind: Kind, robot: str | None = None) -> tuple[base.Params, Meta]:
     """Reads a policy after checking every byte of it.
 
     Args:
@@ -69,7 +71,7 @@ def load(path: pathlib.Path, *, kind: Kind, robot: str | None = None) -> tuple[A
     Raises:
       UserError: it is no policy, damaged, or of another level or robot.
     """
-    meta = json.loads(checkpoint.read_file(path, "meta.json"))
+    meta = _read_meta(path)
     if meta["kind"] != kind:
         raise base.UserError(f"{path} is a {_NOUNS[meta['kind']]}, expected a {_NOUNS[kind]}")
     if robot is not None and meta.get("robot") != robot:
@@ -79,7 +81,7 @@ def load(path: pathlib.Path, *, kind: Kind, robot: str | None = None) -> tuple[A
     return checkpoint.read(path)["params"], meta
 
 
-def entry(meta: Mapping[str, Any], name: str, path: pathlib.Path) -> Any:
+def entry(meta: Meta, name: str, path: pathlib.Path) -> Any:
     """Returns an entry of a policy's meta.json.
 
     Args:
@@ -101,9 +103,10 @@ def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
     Raises:
       UserError: there is none.
     """
-    found = _first(name, (kind,))
-    if found is not None:
-        return found
+    folder = _first(name, (kind,))
+    if folder is not None:
+        return folder
+
     path = pathlib.Path(name)
     if (path / "config.json").is_file():
         raise base.UserError(f"{path} holds no final policy yet: its training isn't finished")
@@ -114,13 +117,17 @@ def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
 
 
 def kind_of(name: str | pathlib.Path) -> Kind | None:
-    """Tells what `name`, as `find` takes it, holds; None if it holds no policy.
+    """Returns what `name`, as `find` takes it, holds; None if it holds no policy.
 
     Raises:
       UserError: it holds a damaged one.
     """
-    found = _first(name, _NOUNS)
-    return None if found is None else json.loads(checkpoint.read_file(found, "meta.json"))["kind"]
+    folder = _first(name, _NOUNS)
+    return None if folder is None else _read_meta(folder)["kind"]
+
+
+def _read_meta(path: pathlib.Path) -> Meta:
+    return json.loads(checkpoint.read_file(path, "meta.json"))
 
 
 def _first(name: str | pathlib.Path, kinds: Iterable[Kind]) -> pathlib.Path | None:

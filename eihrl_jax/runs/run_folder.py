@@ -15,9 +15,10 @@ import os
 import pathlib
 import sys
 from collections.abc import Collection, Mapping
-from typing import Any, SupportsFloat, TypeVar
+from typing import Any, SupportsFloat, TypeAlias, TypeVar
 
 import jax
+from jaxtyping import PyTree
 
 from eihrl_jax import base
 from eihrl_jax.config import codec
@@ -29,6 +30,7 @@ CHECKPOINTS = "checkpoints"
 _CONFIG = "config.json"
 
 StateT = TypeVar("StateT")
+Json: TypeAlias = Any  # What `json.loads` returns.
 
 
 class RunFolder:
@@ -48,7 +50,7 @@ class RunFolder:
     def create(
         cls,
         path: pathlib.Path,
-        options: Any,
+        options: object,
         *,
         resume: bool = False,
         may_change: Collection[str] = (),
@@ -98,7 +100,7 @@ class RunFolder:
             os.close(self._lock)
             self._lock = None
 
-    def save(self, step: int, state: Any) -> None:
+    def save(self, step: int, state: PyTree) -> None:
         """Writes a checkpoint; call it after `log` of the same step."""
         checkpoint.save(self.path / CHECKPOINTS, step, state)
 
@@ -127,7 +129,7 @@ class RunFolder:
             self._metrics.log(step, metrics)
 
 
-def _check_same_options(file: pathlib.Path, options: Any, may_change: Collection[str]) -> None:
+def _check_same_options(file: pathlib.Path, options: object, may_change: Collection[str]) -> None:
     """Checks a run's options; those that are newer than the run count as left at their defaults."""
     text = file.read_text()
     try:
@@ -142,7 +144,7 @@ def _check_same_options(file: pathlib.Path, options: Any, may_change: Collection
     _check_unchanged(file, new, json.loads(codec.to_json(old)), may_change)
 
 
-def _common(options: Any, others: Any) -> Any:
+def _common(options: Json, others: Json) -> Json:
     """Returns those options that are among the others too, nested ones alike."""
     if not (isinstance(options, dict) and isinstance(others, dict)):
         return options
@@ -150,14 +152,14 @@ def _common(options: Any, others: Any) -> Any:
     return {name: _common(options[name], others[name]) for name in both}
 
 
-def _check_unchanged(file: pathlib.Path, new: Any, old: Any, may_change: Collection[str]) -> None:
+def _check_unchanged(file: pathlib.Path, new: Json, old: Json, may_change: Collection[str]) -> None:
     for name, value, old_value in _differences(new, old, ""):
         if name not in may_change:
             started = f"{file.parent} was started with {name} = {old_value!r}"
             raise base.UserError(f"{started} and can't go on with {value!r}")
 
 
-def _differences(new: Any, old: Any, name: str) -> list[tuple[str, Any, Any]]:
+def _differences(new: Json, old: Json, name: str) -> list[tuple[str, Json, Json]]:
     """Lists (name, new value, old value) of the options that differ, nested ones as a.b."""
     if not (isinstance(new, dict) and isinstance(old, dict)):
         return [] if new == old else [(name, new, old)]
@@ -168,7 +170,7 @@ def _differences(new: Any, old: Any, name: str) -> list[tuple[str, Any, Any]]:
     return [difference for part in parts for difference in part]
 
 
-def _read_starts(file: pathlib.Path) -> list[Any]:
+def _read_starts(file: pathlib.Path) -> list[Json]:
     try:
         return list(json.loads(file.read_text()))
     except (FileNotFoundError, ValueError):

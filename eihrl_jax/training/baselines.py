@@ -17,6 +17,7 @@ from eihrl_jax.envs import goal_maze, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
+from eihrl_jax.runs import policies
 from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import loop
 from eihrl_jax.training import metrics as metrics_lib
@@ -157,6 +158,7 @@ class _Job:
             evaluate_every=per_row * self.config.evaluate_every,
             checkpoint_every=per_row * self.config.checkpoint_every,
             length_option="num_steps",
+            may_change=("num_steps",),
             shown={"eval/success": "success", "success": "while exploring"},
         )
 
@@ -199,7 +201,7 @@ class _Job:
         row = metrics_lib.summarise(metrics)
         return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
 
-    def finish(self, path: pathlib.Path, state: State) -> tuple[base.Params, dict[str, Any]]:
+    def finish(self, path: pathlib.Path, state: State) -> tuple[base.Params, policies.Meta]:
         """Returns the policy; the run leaves nothing else."""
         meta = {
             "method": self.config.method,

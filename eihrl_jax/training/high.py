@@ -15,7 +15,7 @@ from eihrl_jax.config import high as high_config
 from eihrl_jax.envs import oracle_maze, postures, raster, subgoals, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.networks import actor_critic
-from eihrl_jax.runs import folders
+from eihrl_jax.runs import folders, policies
 from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import loop, parallel
 from eihrl_jax.training import metrics as metrics_lib
@@ -83,6 +83,7 @@ class _Job:
             log_every=self.config.log_every,
             evaluate_every=self.config.evaluate_every,
             checkpoint_every=self.config.checkpoint_every,
+            length_option="num_updates",
             # Not its length: the schedules of learning rate and entropy depend on it.
             may_change=_MAY_CHANGE,
             shown={"success": "success", "entropy": "entropy"},
@@ -149,7 +150,7 @@ class _Job:
 
     def finish(
         self, path: pathlib.Path, state: peg_a2c.LearnerState
-    ) -> tuple[base.Params, dict[str, Any]]:
+    ) -> tuple[base.Params, policies.Meta]:
         """Returns the policy; the run leaves nothing else."""
         task = self.config.task
         meta = {

@@ -7,7 +7,7 @@ import dataclasses
 import math
 import pathlib
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 from jaxtyping import Array
 
@@ -38,8 +38,8 @@ class Plan:
       log_every: steps of one compiled piece of training, which makes one row of metrics.
       evaluate_every: steps between evaluations, a multiple of `log_every`.
       checkpoint_every: steps between checkpoints, a multiple of `log_every`.
-      length_option: the option that a run which goes on may be made longer with; none: it stays.
-      may_change: further options that may differ when a run goes on.
+      length_option: the option by which `num_steps` is known to the user.
+      may_change: options that may differ when a run goes on.
       shown: metrics that are shown while the run goes on, with the names under which they are.
       unit: what is counted then.
       units_per_step: how many of it a step has.
@@ -51,8 +51,8 @@ class Plan:
     log_every: int
     evaluate_every: int
     checkpoint_every: int
-    length_option: str | None = None
-    may_change: Collection[str] = ()
+    length_option: str
+    may_change: Collection[str]
     shown: Mapping[str, str]
     unit: str = "steps"
     units_per_step: int = 1
@@ -87,7 +87,7 @@ class Job(Protocol[StateT]):
         """Makes a row of numbers of what `Advance` returned."""
         ...
 
-    def finish(self, path: pathlib.Path, state: StateT) -> tuple[base.Params, dict[str, Any]]:
+    def finish(self, path: pathlib.Path, state: StateT) -> tuple[base.Params, policies.Meta]:
         """Ends a run.
 
         Args:
@@ -132,9 +132,8 @@ def run(job: Job[StateT], config: Options) -> float:
     """
     plan = job.plan
     _check_length(plan, config)
-    may_change = {*plan.may_change, *filter(None, [plan.length_option])}
     with run_folder.RunFolder.create(
-        config.run, config, resume=config.resume, may_change=may_change
+        config.run, config, resume=config.resume, may_change=plan.may_change
     ) as folder:
         # Resume: the last checkpoint takes the place of the first state, later rows are dropped.
         state = job.init()
@@ -147,35 +146,60 @@ def run(job: Job[StateT], config: Options) -> float:
             unit=plan.unit,
             done=done * plan.units_per_step,
         ) as progress:
-            with progress.compiling("training"):
-                advance = job.compile_training(state)
-            with progress.compiling("evaluation"):
-                evaluate = job.compile_evaluation(state)
-            if resumed is None:
-                state = job.begin(state, progress)
-
-            while done < plan.num_steps:
-                state, metrics = advance(state)
-                done += plan.log_every
-                is_last = done >= plan.num_steps
-
-                row = job.row(state, metrics)
-                if is_last or done % plan.evaluate_every == 0:
-                    row |= evaluate(state, done)
-                folder.log(done, row)
-                progress.update(done * plan.units_per_step, _shown(plan, row))
-
-                # After its row: a run that goes on from here lacks none.
-                if is_last or done % plan.checkpoint_every == 0:
-                    folder.save(done, state)
+            state = _train(job, state, done, folder, progress)
             seconds = progress.seconds
-        _finish(job, folder.path, state)
+        _finish(job, state, folder)
     return seconds
+
+
+def _train(
+    job: Job[StateT],
+    state: StateT,
+    done: int,
+    folder: run_folder.RunFolder,
+    progress: progress_lib.Progress,
+) -> StateT:
+    """Trains from the step `done` to the end, and returns the last state."""
+    plan = job.plan
+    with progress.compiling("training"):
+        advance = job.compile_training(state)
+    with progress.compiling("evaluation"):
+        evaluate = job.compile_evaluation(state)
+    if done == 0:
+        state = job.begin(state, progress)
+
+    while done < plan.num_steps:
+        state, metrics = advance(state)
+        done += plan.log_every
+        is_last = done >= plan.num_steps
+
+        row = job.row(state, metrics)
+        if is_last or done % plan.evaluate_every == 0:
+            row |= evaluate(state, done)
+        folder.log(done, row)
+        progress.update(done * plan.units_per_step, _shown(plan, row))
+
+        # After the row of the same step, which a run that goes on from here doesn't write again.
+        if is_last or done % plan.checkpoint_every == 0:
+            folder.save(done, state)
+    return state
+
+
+def _finish(job: Job[StateT], state: StateT, folder: run_folder.RunFolder) -> None:
+    """Writes the policy, last of all: a run that has one is complete."""
+    params, meta = job.finish(folder.path, state)
+    policies.save(
+        folder.path / policies.FOLDER,
+        kind=job.plan.kind,
+        params=params,
+        meta=meta | {"versions": versions.describe()},
+        overwrite=True,
+    )
 
 
 def _check_length(plan: Plan, config: Options) -> None:
     """Refuses to end a run before the point that it has reached."""
-    if not config.resume or plan.length_option is None:
+    if not config.resume or plan.length_option not in plan.may_change:
         return
     done = checkpoint.last_step(config.run / run_folder.CHECKPOINTS) or 0
     # The last row may have gone beyond the end by less than its own length.
@@ -191,15 +215,3 @@ def _shown(plan: Plan, row: Mapping[str, float]) -> dict[str, float]:
         for name, short in plan.shown.items()
         if math.isfinite(row.get(name, math.nan))
     }
-
-
-def _finish(job: Job[StateT], path: pathlib.Path, state: StateT) -> None:
-    """Writes the policy, last of all: a run that has one is complete."""
-    params, meta = job.finish(path, state)
-    policies.save(
-        path / policies.FOLDER,
-        kind=job.plan.kind,
-        params=params,
-        meta=meta | {"versions": versions.describe()},
-        overwrite=True,
-    )

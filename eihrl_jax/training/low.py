@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import pathlib
-from typing import Any
 
 import jax
 from jaxtyping import Array, Key
@@ -11,7 +10,7 @@ from jaxtyping import Array, Key
 from eihrl_jax import base
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import postures
-from eihrl_jax.runs import checkpoint, run_folder
+from eihrl_jax.runs import checkpoint, policies, run_folder
 from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import loop, low_trainer
 
@@ -41,6 +40,7 @@ class _Job:
             evaluate_every=self.config.evaluate_every,
             checkpoint_every=self.config.checkpoint_every,
             length_option="num_iterations",
+            may_change=("num_iterations",),
             shown={
                 "eval/along_mean": "along",
                 "eval/lateral_std": "sideways std",
@@ -91,7 +91,7 @@ class _Job:
 
     def finish(
         self, path: pathlib.Path, state: low_trainer.LowState
-    ) -> tuple[base.Params, dict[str, Any]]:
+    ) -> tuple[base.Params, policies.Meta]:
         """Records the posture bank, and measures the policy once more, longer."""
         params = state.learner.average_params
         _, measure_key, posture_key = self._keys
