@@ -31,6 +31,7 @@ _FORMAT = 1
 _MANIFEST = "manifest.json"
 
 TreeT = TypeVar("TreeT")
+LeafT = TypeVar("LeafT")
 
 
 class StructureError(base.UserError):
@@ -72,6 +73,7 @@ def restore(folder: pathlib.Path, template: TreeT) -> tuple[int, TreeT] | None:
     Args:
       folder: the run's folder of checkpoints.
       template: a state of the same structure, as a fresh start makes it; gives types and placement.
+        Where it has shapes alone, arrays go to the default device.
 
     Returns:
       Its step and its state, or None where no checkpoint was completed yet.
@@ -149,7 +151,8 @@ def read(path: pathlib.Path, template: PyTree = None) -> PyTree:
 
     Args:
       path: the folder.
-      template: a tree of the same structure; without it nested dicts of arrays are returned.
+      template: a tree of the same structure, arrays or their shapes, which come to lie where it
+        says, or else on the default device; without it nested dicts of arrays are returned.
 
     Raises:
       StructureError: it holds other arrays than the template.
@@ -161,6 +164,7 @@ def read(path: pathlib.Path, template: PyTree = None) -> PyTree:
         template = _nested(manifest["arrays"], path)
     _check_kinds(path, manifest["arrays"], describe(template))
 
+    template = jax.tree.map(_placed, template)
     restore_args = ocp.checkpoint_utils.construct_restore_args(template)
     arguments = ocp.args.PyTreeRestore(item=template, restore_args=restore_args)
     with _checkpointer() as checkpointer:
@@ -293,9 +297,15 @@ def _check_kinds(path: pathlib.Path, kinds: dict[str, str], expected: dict[str, 
             )
 
 
+def _placed(leaf: LeafT) -> LeafT | jax.ShapeDtypeStruct:
+    """Gives an abstract array a place: that of the one that was saved may not exist here."""
+    if not isinstance(leaf, jax.ShapeDtypeStruct) or leaf.sharding is not None:
+        return leaf
+    return leaf.update(sharding=jax.sharding.SingleDeviceSharding(jax.devices()[0]))
+
+
 def _nested(arrays: dict[str, str], path: pathlib.Path) -> PyTree:
-    """Builds nested dicts of abstract arrays from a manifest, placed on the default device."""
-    device = jax.sharding.SingleDeviceSharding(jax.devices()[0])
+    """Builds nested dicts of abstract arrays from a manifest."""
     tree: dict[str, Any] = {}  # Dicts in dicts, to any depth.
     for name, kind in arrays.items():
         *parents, last = name.split("/")
@@ -306,7 +316,7 @@ def _nested(arrays: dict[str, str], path: pathlib.Path) -> PyTree:
         dtype, _, shape = kind.removesuffix("]").partition("[")
         sizes = tuple(int(size) for size in shape.split(",") if size)
         try:
-            node[last] = jax.ShapeDtypeStruct(sizes, np.dtype(dtype), sharding=device)
+            node[last] = jax.ShapeDtypeStruct(sizes, np.dtype(dtype))
         except TypeError:
             raise base.UserError(
                 f"{path} holds a learner's state, not parameters: {name} is {kind}"

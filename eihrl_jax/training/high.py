@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.agents import peg_a2c
+from eihrl_jax.agents.peg_a2c import LearnerState
 from eihrl_jax.config import checks
 from eihrl_jax.config import high as high_config
 from eihrl_jax.envs import oracle_maze, postures, raster, subgoals, wrappers
@@ -91,24 +92,22 @@ class _Job:
             units_per_step=decisions_per_update(self.agent),
         )
 
-    def init(self) -> peg_a2c.LearnerState:
+    def init(self) -> LearnerState:
         """Returns the first state, every worker on its device."""
         return parallel.init(self.agent, self.config.seed, self.mesh)
 
-    def compile_training(self, state: peg_a2c.LearnerState) -> loop.Advance[peg_a2c.LearnerState]:
+    def compile_training(self, state: LearnerState) -> loop.Advance[LearnerState]:
         """Compiles `log_every` updates."""
         update = parallel.repeated_update(self.agent, self.config.log_every, self.mesh)
         return update.lower(state).compile()
 
-    def compile_evaluation(
-        self, state: peg_a2c.LearnerState
-    ) -> loop.Evaluate[peg_a2c.LearnerState]:
+    def compile_evaluation(self, state: LearnerState) -> loop.Evaluate[LearnerState]:
         """Compiles whole episodes in each environment, subgoals sampled."""
         measures = {
             prefix: self._compile_measure(env, state) for prefix, env in self.evaluated_in.items()
         }
 
-        def evaluate(state: peg_a2c.LearnerState, done: int) -> dict[str, float]:
+        def evaluate(state: LearnerState, done: int) -> dict[str, float]:
             row = {}
             for prefix, measure in measures.items():
                 means = summarise(measure(*_local((state.params, state.num_updates))))
@@ -119,7 +118,7 @@ class _Job:
         return evaluate
 
     def _compile_measure(
-        self, env: base.Environment, state: peg_a2c.LearnerState
+        self, env: base.Environment, state: LearnerState
     ) -> Callable[..., loop.Metrics]:
         """Compiles sums over episodes, each of up to the limit of decisions of the longest one."""
         config = self.config
@@ -137,20 +136,16 @@ class _Job:
 
         return jax.jit(measure).lower(*_local((state.params, state.num_updates))).compile()
 
-    def begin(
-        self, state: peg_a2c.LearnerState, progress: progress_lib.Progress
-    ) -> peg_a2c.LearnerState:
+    def begin(self, state: LearnerState, progress: progress_lib.Progress) -> LearnerState:
         """Returns the state as it is: nothing precedes the first update."""
         return state
 
-    def row(self, state: peg_a2c.LearnerState, metrics: loop.Metrics) -> dict[str, float]:
+    def row(self, state: LearnerState, metrics: loop.Metrics) -> dict[str, float]:
         """Returns means over the episodes that ended, and over the updates."""
         row = {"num_decisions": float(state.num_decisions)} | summarise(metrics)
         return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
 
-    def finish(
-        self, path: pathlib.Path, state: peg_a2c.LearnerState
-    ) -> tuple[base.Params, policies.Meta]:
+    def finish(self, path: pathlib.Path, state: LearnerState) -> tuple[base.Params, policies.Meta]:
         """Returns the policy; the run leaves nothing else."""
         task = self.config.task
         meta = {

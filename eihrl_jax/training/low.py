@@ -12,7 +12,8 @@ from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import postures
 from eihrl_jax.runs import checkpoint, policies, run_folder
 from eihrl_jax.runs import progress as progress_lib
-from eihrl_jax.training import loop, low_trainer
+from eihrl_jax.training import loop
+from eihrl_jax.training.low_trainer import LowState, LowTrainer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,9 +26,9 @@ class _Job:
       start: last state of the run with whose learner and replay this one begins, if any.
     """
 
-    trainer: low_trainer.LowTrainer
+    trainer: LowTrainer
     config: low_config.LowConfig
-    start: low_trainer.LowState | None = None
+    start: LowState | None
 
     @property
     def plan(self) -> loop.Plan:
@@ -54,44 +55,38 @@ class _Job:
         """Keys of the first state, of evaluations and of the recorded postures."""
         return jax.random.split(jax.random.key(self.config.seed), 3)
 
-    def init(self) -> low_trainer.LowState:
+    def init(self) -> LowState:
         """Returns the first state, nothing being stored yet."""
         return self.trainer.jit_init(self._keys[0])
 
-    def compile_training(self, state: low_trainer.LowState) -> loop.Advance[low_trainer.LowState]:
+    def compile_training(self, state: LowState) -> loop.Advance[LowState]:
         """Compiles `log_every` iterations."""
         # Shapes alone: a state that was restored is the same program's as a new one.
         return self.trainer.jit_advance.lower(jax.eval_shape(lambda: state)).compile()
 
-    def compile_evaluation(
-        self, state: low_trainer.LowState
-    ) -> loop.Evaluate[low_trainer.LowState]:
+    def compile_evaluation(self, state: LowState) -> loop.Evaluate[LowState]:
         """Compiles the measurement of subgoals."""
         shapes = jax.eval_shape(lambda: (state.learner.average_params, state.key))
         measure = self.trainer.jit_measure.lower(*shapes).compile()
 
-        def evaluate(state: low_trainer.LowState, done: int) -> dict[str, float]:
+        def evaluate(state: LowState, done: int) -> dict[str, float]:
             key = jax.random.fold_in(self._keys[1], done)
             return _numbers(measure(state.learner.average_params, key), "eval/")
 
         return evaluate
 
-    def begin(
-        self, state: low_trainer.LowState, progress: progress_lib.Progress
-    ) -> low_trainer.LowState:
+    def begin(self, state: LowState, progress: progress_lib.Progress) -> LowState:
         """Takes over what another run has learned and stored, or stores random steps."""
         if self.start is not None:
             return state.replace(learner=self.start.learner, replay=self.start.replay)
         progress.print(f"{self.plan.title}: filling the replay buffer with random steps ...")
         return self.trainer.jit_warm_up(state)
 
-    def row(self, state: low_trainer.LowState, metrics: loop.Metrics) -> dict[str, float]:
+    def row(self, state: LowState, metrics: loop.Metrics) -> dict[str, float]:
         """Returns the metrics as numbers."""
         return _numbers(metrics)
 
-    def finish(
-        self, path: pathlib.Path, state: low_trainer.LowState
-    ) -> tuple[base.Params, policies.Meta]:
+    def finish(self, path: pathlib.Path, state: LowState) -> tuple[base.Params, policies.Meta]:
         """Records the posture bank, and measures the policy once more, longer."""
         params = state.learner.average_params
         _, measure_key, posture_key = self._keys
@@ -118,10 +113,10 @@ def train(config: low_config.LowConfig) -> None:
     Raises:
       base.UserError: an option or the run folder is not as it should be.
     """
-    train_with(low_trainer.LowTrainer(config), config)
+    train_with(LowTrainer(config), config)
 
 
-def train_with(trainer: low_trainer.LowTrainer, config: low_config.LowConfig) -> None:
+def train_with(trainer: LowTrainer, config: low_config.LowConfig) -> None:
     """Trains as `train` does, with a trainer that may have been compiled for another run.
 
     Args:
@@ -131,20 +126,23 @@ def train_with(trainer: low_trainer.LowTrainer, config: low_config.LowConfig) ->
     Raises:
       base.UserError: the run folder is not as it should be.
     """
-    job = _Job(trainer, config)
-    is_new = checkpoint.last_step(config.run / run_folder.CHECKPOINTS) is None
-    if is_new and config.start_from is not None:
-        job = dataclasses.replace(job, start=_load(config.start_from, job.init()))
-    loop.run(job, config)
+    start = None
+    if checkpoint.last_step(config.run / run_folder.CHECKPOINTS) is None:
+        # Once it is begun, the run goes on without the other.
+        start = _load_start(trainer, config.start_from)
+    loop.run(_Job(trainer, config, start), config)
 
 
-def _load(path: pathlib.Path, template: low_trainer.LowState) -> low_trainer.LowState:
-    """Loads the last state of another run.
+def _load_start(trainer: LowTrainer, path: pathlib.Path | None) -> LowState | None:
+    """Loads the last state of the run that another one begins with, if it does.
 
     Raises:
-      base.UserError: it has no checkpoint, a damaged one, or one of another structure.
+      base.UserError: there is no checkpoint, or one that is damaged or of another structure.
     """
-    restored = checkpoint.restore(path / run_folder.CHECKPOINTS, template)
+    if path is None:
+        return None
+    shapes = jax.eval_shape(trainer.init, jax.random.key(0))
+    restored = checkpoint.restore(path / run_folder.CHECKPOINTS, shapes)
     if restored is None:
         raise base.UserError(f"start_from = {path} holds no checkpoint")
     return restored[1]

@@ -58,8 +58,10 @@ def test_run_leaves_policy_statistics_and_postures(whole_run):
 
 
 def test_resuming_changes_nothing(trainer, whole_run, tmp_path):
-    run = tmp_path / "halves"
-    low.train_with(trainer, _config(run, num_iterations=6))
+    """As after a kill between the last row and its checkpoint."""
+    run = shutil.copytree(whole_run.run, tmp_path / "killed")
+    shutil.rmtree(run / policies.FOLDER)
+    shutil.rmtree(run / "checkpoints" / f"{12:012d}")
     low.train_with(trainer, _config(run, resume=True))
     template = jax.eval_shape(trainer.init, jax.random.key(0))
     states = [
@@ -73,15 +75,13 @@ def test_resuming_changes_nothing(trainer, whole_run, tmp_path):
     assert files[0] == files[1]
 
 
-def test_starting_from_another_run_goes_on_learning(whole_run, tmp_path):
+def test_starting_from_another_run_goes_on_learning(trainer, whole_run, tmp_path):
     """Under another reward: the learner's count and its replay go on, the iterations begin anew.
 
     Once begun, the run goes on without the other.
     """
-    reward = low_config.LowReward(is_paced=True, beyond_cell=-1.0)
     start = shutil.copytree(whole_run.run, tmp_path / "start")
-    config = _config(tmp_path / "second", start_from=start, reward=reward, num_iterations=6)
-    trainer = low_trainer.LowTrainer(config)
+    config = _config(tmp_path / "second", start_from=start, num_iterations=6)
     low.train_with(trainer, config)
     shutil.rmtree(start)
     config = dataclasses.replace(config, num_iterations=12, resume=True)
@@ -90,6 +90,12 @@ def test_starting_from_another_run_goes_on_learning(whole_run, tmp_path):
     step, state = checkpoint.restore(config.run / "checkpoints", template)
     assert (step, int(state.iteration), int(state.learner.num_updates)) == (12, 12, 48)
     assert int(state.replay.size) == 8 * (4 + 12 + 12)
+    # The reward isn't stored, so a run under another one can begin with the same state.
+    reward = low_config.LowReward(is_paced=True, beyond_cell=-1.0)
+    other = low_trainer.LowTrainer(dataclasses.replace(config, reward=reward))
+    assert checkpoint.restore(
+        whole_run.run / "checkpoints", jax.eval_shape(other.init, jax.random.key(0))
+    )
 
 
 def test_start_that_does_not_fit_is_refused(whole_run, tmp_path):
