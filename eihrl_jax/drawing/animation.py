@@ -103,18 +103,24 @@ def render(
     width, height = MAZE_SIZE
     backdrop = picture.draw_maze(recording.maze, width=width, height=height)
     capsules = jax.jit(capsules)
+
+    # Long episodes skip moves; the last one is always shown.
     xy = recording.qpos[:, :2]
     visited = _visited(recording.maze, xy)
     stride = max(1, -(-len(xy) // _MAX_FRAMES))
     steps = [*range(0, len(xy) - 1, stride), len(xy) - 1]
+
     floor = backdrop.colour
     trail = Image.new("L", backdrop.distance.shape[::-1])
     for before, step in itertools.pairwise([0, *steps]):
         _draw_trail(trail, backdrop, xy[before : step + 1])
         decision = recording.decision[step]
+        # Goals are painted anew only when one has been reached.
         if step == 0 or (visited[step] != visited[before]).any():
             floor = backdrop.colour.copy()
             _paint_goals(floor, backdrop, visited[step])
+
+        # From the floor up: the way so far, the subgoal, the robot.
         canvas = floor.copy()
         _paint(canvas, backdrop, trail, palette.TRAIL, opacity=0.75)
         if recording.direction is not None:
@@ -122,13 +128,14 @@ def render(
             _paint(canvas, backdrop, arrow, palette.ARROW, opacity=0.9)
         geoms = capsules(jnp.asarray(recording.qpos[step], jnp.float32))
         picture.place_robot(canvas, backdrop, geoms, reach=reach + 0.8)
+
         yield _with_panel(
             picture.finish(canvas), recording, step, title, num_achieved=int(visited[step].sum())
         )
 
 
 def _visited(maze: maze_lib.Maze, xy: Float[np.ndarray, "T 2"]) -> Bool[np.ndarray, "T 9"]:
-    """Tells for each move which goals have been visited up to then."""
+    """Returns for each move which goals have been visited up to then."""
     number = np.asarray(jax.vmap(functools.partial(maze_lib.goal_at, maze))(jnp.asarray(xy)))
     here = number[:, None] == np.arange(1, maze_lib.MAX_GOALS + 1)
     return np.logical_or.accumulate(here, 0)
@@ -203,6 +210,7 @@ def _with_panel(
     page.paste(Image.fromarray(image), (0, 0))
     pen = ImageDraw.Draw(page)
     left, top = width + 4, 40
+
     decision = int(recording.decision[step])
     limit, total = int(recording.maze.num_decisions), int(recording.maze.num_goals)
     goal_colour = palette.GOAL_ACHIEVED if num_achieved == total else palette.INK
@@ -214,11 +222,13 @@ def _with_panel(
     if recording.direction is not None:
         direction = DIRECTION_NAMES[int(recording.direction[decision])]
         numbers.append(("subgoal", direction, 0, 96, palette.ARROW))
+
     for name, value, x, y, colour in numbers:
         pen.text((left + x, top + y), name, palette.MUTED, palette.font(13))
         pen.text((left + x, top + y + 18), value, colour, palette.font(18, is_bold=True))
     if recording.is_fallen[step]:
         pen.text((left + 116, top + 114), "fallen", palette.ROBOT, palette.font(18, is_bold=True))
+
     if recording.patch is not None:
         pen.text((left, top + 152), "what the high level sees", palette.MUTED, palette.font(13))
         side = _PANEL_WIDTH - _MARGIN - 4

@@ -126,6 +126,7 @@ def save_spread(
     if has_log_x:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=" "))
+
     all_labels = list(dict.fromkeys([*labels, *groups]))
     for label, curves in groups.items():
         i = all_labels.index(label)
@@ -133,6 +134,8 @@ def save_spread(
         x, y = aligned(curves)
         y *= y_scale
         axes.fill_between(x, y.min(0), y.max(0), color=colour, alpha=0.12, linewidth=0.0)
+
+        # Markers of each curve begin elsewhere, so that none hides another's.
         step = -(-len(x) // _NUM_MARKERS)
         axes.plot(
             x,

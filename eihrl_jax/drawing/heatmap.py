@@ -46,10 +46,12 @@ def save(path: pathlib.Path, visits: Visits) -> None:
     _draw(axes, visits, norm)
     axes.set_xlabel("x, units", color=palette.INK)
     axes.set_ylabel("y, units", color=palette.INK)
+
     # Insets stay beside the maze whatever size its aspect leaves it.
     top = axes.inset_axes((0.0, 1.02, 1.0, 0.14), sharex=axes)
     right = axes.inset_axes((1.02, 0.0, 0.14, 1.0), sharey=axes)
     scale = axes.inset_axes((1.20, 0.0, 0.035, 1.0))
+
     side = base.CELL / rollouts.BINS_PER_CELL
     x = (np.arange(visits.share.shape[1]) + 0.5) * side
     top.bar(x, visits.share.sum(0), width=side, color=palette.GOAL)

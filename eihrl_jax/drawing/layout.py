@@ -35,6 +35,7 @@ def draw(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, title: str = "") ->
     )
     goal, gold = np.asarray(maze.goal), palette.rgb(palette.GOAL)
     image[goal > 0] = gold
+    # Door candidates that are walled up show as wall with a tint of gold.
     closed = np.asarray(maze.door & maze.wall)
     wall = palette.rgb(palette.WALL)
     image[closed] = (1.0 - _DOOR_OPACITY) * wall + _DOOR_OPACITY * gold
@@ -57,20 +58,25 @@ def add_marks(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, start_colour: 
       maze: one maze.
       start_colour: of the circles around starts; a room that starts anywhere gets none.
     """
+    # One rectangle for many cells: neighbours drawn apart would show seams.
     door = np.asarray(maze.door)
     for cells in picture.wall_rectangles(np.asarray(maze.wall) & ~door):
         _add_rectangle(axes, cells, facecolor=palette.WALL, edgecolor=palette.WALL)
     for i, j in np.argwhere(door):
         cell = np.array([i, j, i + 1, j + 1])
         _add_rectangle(axes, cell, facecolor="none", edgecolor=palette.GOAL, linewidth=0.5)
+
     goal = np.asarray(maze.goal)
     for number in range(1, int(goal.max()) + 1):
         for cells in picture.wall_rectangles(goal == number):
             _add_rectangle(axes, cells, facecolor="none", edgecolor=palette.GOAL, linewidth=2)
+
+    # A room where every cell is a start would be full of circles.
     starts = np.argwhere(np.asarray(maze.start))
     if len(starts) <= maze_lib.MAX_GOALS:
         x, y = (starts[:, 1] + 0.5) * base.CELL, -(starts[:, 0] + 0.5) * base.CELL
         axes.plot(x, y, "o", markerfacecolor="none", markeredgecolor=start_colour, markersize=9)
+
     left, right, bottom, top = extent(maze)
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)

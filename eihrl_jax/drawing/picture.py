@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 from eihrl_jax import base
 from eihrl_jax.drawing import palette, raycast
 from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.ops import tree
 from eihrl_jax.physics import kinematics
 
 SUPERSAMPLING = 2
@@ -71,6 +72,7 @@ def wall_rectangles(wall: Bool[np.ndarray, "R C"]) -> Int[np.ndarray, "B 4"]:
     for i, j in np.argwhere(wall):
         if not left[i, j]:
             continue
+        # From its first cell as far right as there is wall, then as far down as all of that is.
         width = int(np.argmin(np.append(left[i, j:], False)))
         height = int(np.argmin(np.append(left[i:, j : j + width].all(1), False)))
         left[i : i + height, j : j + width] = False
@@ -109,6 +111,7 @@ def fit_camera(num_rows: int, num_columns: int, *, width: int, height: int) -> r
       width: of the picture, pixels.
       height: of the picture, pixels.
     """
+    # A camera of focal length 1 in the right place and direction ...
     low, high = drawn_area(num_rows, num_columns)
     size, centre = high - low, (high + low) / 2
     back = np.array([0.0, -np.cos(PITCH), np.sin(PITCH)])
@@ -116,6 +119,8 @@ def fit_camera(num_rows: int, num_columns: int, *, width: int, height: int) -> r
     unit = raycast.look_at(
         jnp.asarray(position, jnp.float32), jnp.asarray(centre, jnp.float32), 1.0, jnp.zeros(2)
     )
+
+    # ... tells how large the maze is in its picture, which then fills the frame.
     corner = np.array(list(itertools.product(*np.stack([low, high], -1))))
     image = np.asarray(raycast.project(unit, jnp.asarray(corner, jnp.float32)))
     low, high = image.min(0), image.max(0)
@@ -159,6 +164,8 @@ def _draw_maze(
     corner = jnp.zeros(2, jnp.int32)
     direction = raycast.pixel_rays(camera, corner, height=height, width=width)
     eye = raycast.vector(camera.position)
+
+    # What each pixel shows: a wall, the floor of some cell, or the paper around the maze.
     wall = raycast.boxes(eye, direction, low, high)
     floor = raycast.floor_distance(eye, direction)
     distance = jnp.minimum(wall.distance, floor)
@@ -172,8 +179,8 @@ def _draw_maze(
     is_floor = (floor < wall.distance) & is_inside
     goal = jnp.where(is_floor, maze.goal[i.clip(0, rows - 1), j.clip(0, columns - 1)], 0)
 
-    up = (jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1.0))
-    normal = jax.tree.map(lambda u, n: jnp.where(is_floor, u, n), up, wall.normal)
+    # Diffuse light with shadows, darker at the foot of walls.
+    normal = tree.where(is_floor, _up(), wall.normal)
     light = raycast.vector(jnp.array(_LIGHT))
     is_dark = raycast.boxes(*raycast.to_light(point, normal, light), low, high).index >= 0
     lambert = jnp.maximum(raycast.dot(normal, light), 0.0)
@@ -187,6 +194,11 @@ def _draw_maze(
     is_seen = (is_floor | (wall.index >= 0))[..., None]
     colour = jnp.where(is_seen, surface * shade, _rgb("PAPER")[None, None])
     return colour.clip(0.0, 1.0), distance, goal, is_floor
+
+
+def _up() -> raycast.Vector:
+    """Returns the floor's normal."""
+    return jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1.0)
 
 
 def _choose(
@@ -243,6 +255,8 @@ def draw_robot(
     """
     direction = raycast.pixel_rays(camera, corner, height=size, width=size)
     eye, light = raycast.vector(camera.position), raycast.vector(jnp.array(_LIGHT))
+
+    # Diffuse light, in which parts shade each other, and a highlight (Blinn and Phong).
     hit = raycast.capsules(eye, direction, start, end, radius)
     point = raycast.along(eye, direction, hit.distance)
     is_dark = raycast.capsules(*raycast.to_light(point, hit.normal, light), start, end, radius)
@@ -255,9 +269,9 @@ def draw_robot(
     surface = _choose(hit.index == 0, _rgb("ROBOT"), _rgb("ROBOT_LIMB"))
     colour = (surface * shade[..., None] + gloss[..., None]).clip(0.0, 1.0)
 
+    # The floor is dark where the robot is between it and the light.
     point = raycast.along(eye, direction, raycast.floor_distance(eye, direction))
-    up = (jnp.float32(0.0), jnp.float32(0.0), jnp.float32(1.0))
-    shadow = raycast.capsules(*raycast.to_light(point, up, light), start, end, radius)
+    shadow = raycast.capsules(*raycast.to_light(point, _up(), light), start, end, radius)
     return colour, hit.distance, shadow.index >= 0
 
 
@@ -278,6 +292,8 @@ def place_robot(
     """
     start, end, radius = capsules
     height, width = canvas.shape[:2]
+
+    # Only a window around the robot is drawn, as large for every frame: it is compiled once.
     size = min(2 * int(np.ceil(1.15 * reach * backdrop.pixels_per_unit)), height, width)
     torso = raycast.project(backdrop.camera, (start[:1] + end[:1]) / 2)
     corner = np.round(np.asarray(torso)[0] - size / 2).astype(int)
@@ -286,6 +302,8 @@ def place_robot(
         backdrop.camera, jnp.asarray(corner, jnp.int32), start, end, radius, size=size
     )
     colour, distance, shadow = (np.asarray(x) for x in drawn)
+
+    # Walls in front of the robot hide it, and its shadow falls on the floor alone.
     window = np.s_[corner[1] : corner[1] + size, corner[0] : corner[0] + size]
     part = canvas[window]
     part[shadow & backdrop.is_floor[window]] *= 1.0 - _SHADOW

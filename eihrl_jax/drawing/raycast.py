@@ -8,7 +8,9 @@ faster on CPU than an array whose last axis has length three.
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
+
+from eihrl_jax.ops import tree
 
 FAR = 1e6
 """Distance of a ray that hits nothing, units."""
@@ -122,9 +124,11 @@ def boxes(
       low: lower corners of B boxes.
       high: upper corners.
     """
+    # A ray parallel to a face never crosses it, but mustn't divide by zero.
     inverse = [1.0 / jnp.where(d == 0.0, 1e-9, d) for d in direction]
 
     def nearer(best: Hit, box: tuple[Array, Array, Array]) -> tuple[Hit, None]:
+        # A box is where three slabs meet: the ray is in it from the last entry to the first exit.
         box_low, box_high, index = box
         enter, leave = [], []
         for i in range(3):
@@ -135,8 +139,10 @@ def boxes(
         distance = jnp.maximum(jnp.maximum(enter[0], enter[1]), enter[2])
         end = jnp.minimum(jnp.minimum(leave[0], leave[1]), leave[2])
         is_hit = (distance < end) & (distance > 0.0) & (distance < best.distance)
+
+        # The face that was entered last is the one that is seen.
         x, y, z = (jnp.where(enter[i] == distance, -jnp.sign(direction[i]), 0.0) for i in range(3))
-        return _replace(best, is_hit, distance, (x, y, z), index), None
+        return _nearest(best, is_hit, distance, (x, y, z), index), None
 
     return jax.lax.scan(nearer, _nothing(direction), (low, high, jnp.arange(len(low))))[0]
 
@@ -157,7 +163,9 @@ def capsules(
         start_xyz, end_xyz, r, index = capsule
         span = end_xyz - start_xyz
         length = jnp.linalg.norm(span)
-        axis = vector(span / jnp.maximum(length, 1e-6))
+        axis = vector(span / jnp.maximum(length, 1e-6))  # of a ball: any, for its length is 0
+
+        # The endless cylinder counts between the capsule's ends alone.
         from_start = _minus(origin, vector(start_xyz))
         side = _cylinder(from_start, direction, axis, r)
         height = dot(from_start, axis) + side * dot(direction, axis)
@@ -167,10 +175,12 @@ def capsules(
             _ball(_minus(origin, vector(end_xyz)), direction, r),
         )
         distance = jnp.minimum(side, balls)
+
+        # The normal points away from the nearest point of the axis.
         point = along(from_start, direction, distance)
         height = jnp.clip(dot(point, axis), 0.0, length)
         x, y, z = ((p - height * a) / r for p, a in zip(point, axis, strict=True))
-        return _replace(best, distance < best.distance, distance, (x, y, z), index), None
+        return _nearest(best, distance < best.distance, distance, (x, y, z), index), None
 
     items = (start, end, radius, jnp.arange(len(radius)))
     return jax.lax.scan(nearer, _nothing(direction), items)[0]
@@ -209,16 +219,12 @@ def _nothing(direction: Vector) -> Hit:
     )
 
 
-def _replace(
-    best: Hit,
-    is_hit: Bool[Array, "H W"],
-    distance: Float[Array, "H W"],
-    normal: Vector,
-    index: Int[Array, ""],
+def _nearest(
+    best: Hit, is_hit: Array, distance: Array, normal: Vector, index: Int[Array, ""]
 ) -> Hit:
-    """Takes over those rays that hit something nearer."""
-    new = Hit(distance=distance, normal=normal, index=index.astype(jnp.int32))
-    return jax.tree.map(lambda new, old: jnp.where(is_hit, new, old), new, best)
+    """Returns what rays meet first, given which of them hit the thing `index` before all else."""
+    new = Hit(distance=distance, normal=normal, index=jnp.full_like(best.index, index))
+    return tree.where(is_hit, new, best)
 
 
 def _first_root(

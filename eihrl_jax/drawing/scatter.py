@@ -35,19 +35,23 @@ def save(
     axes = figure.add_subplot()
     axes.set_facecolor(palette.PAPER)
     for index, points in ends.items():
-        colour = palette.CURVE[index]
         if not len(points):
             continue
+        colour = palette.CURVE[index]
         axes.scatter(*points.T, s=3.0, alpha=0.35, color=colour, linewidths=0.0)
+
+        # Where the subgoal points, and within what of it the high level has learned to expect.
         target = np.multiply(base.CELL, base.DIRECTIONS_XY[index])
         axes.plot(*target, marker="+", markersize=11, color=palette.INK)
         axes.add_patch(
             matplotlib.patches.Circle(tuple(target), 3.0 * sigma, fill=False, color=palette.MUTED)
         )
+
         mean_xy, std_xy = points.mean(0), points.std(0)
         mean, std = ("({:.2f}, {:.2f})".format(*pair) for pair in (mean_xy, std_xy))
         text = f"{_NAMES[index]}: {mean} ± {std}"
         axes.plot([], [], "o", color=colour, markersize=5, label=text)
+
     axes.plot(0.0, 0.0, marker="o", color=palette.INK, markersize=5)
     axes.set(xlim=(-_EXTENT, _EXTENT), ylim=(-_EXTENT, _EXTENT), aspect="equal")
     axes.set_xlabel("x since the subgoal was given, units", color=palette.INK)

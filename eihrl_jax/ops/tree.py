@@ -9,6 +9,6 @@ from jaxtyping import Array, Bool
 TreeT = TypeVar("TreeT")
 
 
-def where(condition: Bool[Array, ""], if_true: TreeT, if_false: TreeT) -> TreeT:
+def where(condition: Bool[Array, "..."], if_true: TreeT, if_false: TreeT) -> TreeT:
     """Returns one of two pytrees of the same structure, leaf by leaf with `jnp.where`."""
     return jax.tree.map(lambda new, old: jnp.where(condition, new, old), if_true, if_false)
