@@ -55,6 +55,7 @@ def save(folder: pathlib.Path, step: int, state: PyTree, *, keep: int = KEEP) ->
     path = folder / f"{step:012d}"
     if not path.exists():
         write(path, state)
+    # Only once the new one is complete are older ones removed.
     if jax.process_index() == 0:
         _clean(folder)
         for old in _steps(folder)[:-keep]:

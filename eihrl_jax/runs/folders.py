@@ -42,7 +42,7 @@ def _check_empty(out: pathlib.Path) -> None:
 
 
 def check_free(path: pathlib.Path, *, resume: bool) -> bool:
-    """Tells whether a folder holds something, which it only may where a run is to go on.
+    """Returns whether a folder holds something, which it only may where a run is to go on.
 
     Raises:
       UserError: it holds something and `resume` is false, or it is no folder.
@@ -54,7 +54,7 @@ def check_free(path: pathlib.Path, *, resume: bool) -> bool:
 
 
 def holds_something(path: pathlib.Path) -> bool:
-    """Tells whether a folder has more in it than what a killed start leaves.
+    """Returns whether a folder has more in it than what a killed start leaves.
 
     Raises:
       UserError: it is no folder.

@@ -72,6 +72,7 @@ class Progress:
         start = time.monotonic()
         yield
         self.print(f"{self._title}: compiled {what} in {time.monotonic() - start:.1f} s")
+        # The clock starts anew, so that compiling doesn't count as slow training.
         self._begin = time.monotonic()
         self._history = [(self._begin, self._done)]
 
@@ -89,6 +90,7 @@ class Progress:
         self._done = done
         self._metrics.update({name: float(value) for name, value in (metrics or {}).items()})
         now = time.monotonic()
+        # The speed is that of the last seconds: evaluations and checkpoints come in bursts.
         self._history.append((now, done))
         while len(self._history) > 2 and self._history[1][0] < now - _SMOOTHING_SECONDS:
             self._history.pop(0)

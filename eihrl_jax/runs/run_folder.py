@@ -76,6 +76,8 @@ class RunFolder:
         text = codec.to_json(options)
         if is_taken:
             _check_same_options(path / _CONFIG, options, {"run", "resume", *may_change})
+
+        # Nothing is written before all that can be wrong has been looked at.
         path.mkdir(parents=True, exist_ok=True)
         run = cls(path, folders.take_lock(path))
         folders.write_whole(path / _CONFIG, text)

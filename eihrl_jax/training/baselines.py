@@ -148,7 +148,6 @@ class _Job:
 
     @property
     def plan(self) -> loop.Plan:
-        """What the run trains, and when it does what."""
         per_row = self.arena.baseline.steps_per_round * self.config.log_rounds
         return loop.Plan(
             kind="baseline",
@@ -168,7 +167,6 @@ class _Job:
         return jax.random.split(jax.random.key(self.config.seed))
 
     def init(self) -> State:
-        """Returns the first state."""
         return jax.jit(self.arena.baseline.init)(self._keys[0])
 
     def compile_training(self, state: State) -> loop.Advance[State]:

@@ -76,7 +76,6 @@ class _Job:
 
     @property
     def plan(self) -> loop.Plan:
-        """What the run trains, and when it does what."""
         return loop.Plan(
             kind="high",
             title=f"{_title(self.config.task)} high level",
@@ -93,7 +92,6 @@ class _Job:
         )
 
     def init(self) -> LearnerState:
-        """Returns the first state, every worker on its device."""
         return parallel.init(self.agent, self.config.seed, self.mesh)
 
     def compile_training(self, state: LearnerState) -> loop.Advance[LearnerState]:

@@ -32,7 +32,6 @@ class _Job:
 
     @property
     def plan(self) -> loop.Plan:
-        """What the run trains, and when it does what."""
         return loop.Plan(
             kind="low",
             title=f"{self.config.robot} low level",
@@ -56,7 +55,6 @@ class _Job:
         return jax.random.split(jax.random.key(self.config.seed), 3)
 
     def init(self) -> LowState:
-        """Returns the first state, nothing being stored yet."""
         return self.trainer.jit_init(self._keys[0])
 
     def compile_training(self, state: LowState) -> loop.Advance[LowState]:
@@ -83,7 +81,6 @@ class _Job:
         return self.trainer.jit_warm_up(state)
 
     def row(self, state: LowState, metrics: loop.Metrics) -> dict[str, float]:
-        """Returns the metrics as numbers."""
         return _numbers(metrics)
 
     def finish(self, path: pathlib.Path, state: LowState) -> tuple[base.Params, policies.Meta]:
