@@ -20,6 +20,7 @@ def policy_gradient(
 
     Source: paper, Algorithm 1, line 15.
     """
+    # Paper: Algorithm 1, line 15, grad log pi(a_t | s_t) (R_t - V(s_t)).
     log_probability = jax.nn.log_softmax(logits_t)[action_t]
     return -log_probability * jax.lax.stop_gradient(advantage_t)
 
@@ -34,5 +35,6 @@ def value_error(v_t: Float[Array, ""], return_t: Float[Array, ""]) -> Float[Arra
 
 def entropy(logits: Float[Array, " A"]) -> Float[Array, ""]:
     """Computes the entropy, in nats, of the categorical distribution with these logits."""
+    # From log-probabilities: 0 log 0 would be nan.
     log_probabilities = jax.nn.log_softmax(logits)
     return -jnp.sum(jnp.exp(log_probabilities) * log_probabilities)

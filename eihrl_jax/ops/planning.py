@@ -33,6 +33,7 @@ def value_iteration(
 
     Source: Tamar et al. 2016, "Value Iteration Networks", Sec. 4.1; one action per neighbour.
     """
+    # The column of zeros keeps a row's end from being the neighbour of the next row's start.
     width = reward.shape[1] + 1
     flat_reward, flat_gate = (jnp.pad(grid, ((0, 0), (0, 1))).ravel() for grid in (reward, gate))
     values = cast(Array, _iterate(flat_reward, flat_gate, width, num_iterations))
@@ -52,7 +53,7 @@ def neighbours(grid: Num[Array, "*k n m"]) -> Four:
 def _iterate(
     reward: Float[Array, " L"], gate: Float[Array, " L"], width: int, num_iterations: int
 ) -> Float[Array, " L"]:
-    """Does what `value_iteration` does, on flat rows of `width`."""
+    """Iterates values on flat rows of `width`, see `value_iteration`."""
     return _forward(reward, gate, width, num_iterations)[0]
 
 
@@ -63,6 +64,7 @@ def _forward(
 
     def iterate(values: Float[Array, " L"], _: None) -> tuple[Array, Array]:
         east, west, north, south = _shifted(values, width)
+        # Tamar et al. 2016, Sec. 4.1: the maximum over actions of what each leads to.
         best = jnp.maximum(jnp.maximum(east, west), jnp.maximum(north, south))
         return reward + gate * best, values
 
@@ -84,10 +86,12 @@ def _backward(
         carry: tuple[Array, Array, Array], values: Float[Array, " L"]
     ) -> tuple[tuple[Array, Array, Array], None]:
         of_values, of_reward, of_gate = carry
+        # Which neighbour was the best: 0 to 3 in the order of the directions, -1 outside.
         east, west, north, south = _shifted(values, width)
         across, along = jnp.maximum(east, west), jnp.maximum(north, south)
         best_across, best_along = jnp.where(east >= west, 0, 1), jnp.where(north >= south, 2, 3)
         chosen = _shifted(jnp.where(across >= along, best_across, best_along), width, outside=-1)
+
         passed = _shifted(of_values * gate, width)
         # My neighbour in x+ hands down to me if its best neighbour is the one in x-, and so on.
         handed = [

@@ -31,6 +31,7 @@ def lambda_returns(
     """
 
     def step(following, inputs):
+        # Paper: Algorithm 1, line 14, R <- r_t + gamma R, for a weight of 1.
         reward, discount, value, weight = inputs
         following = reward + discount * ((1.0 - weight) * value + weight * following)
         return following, following

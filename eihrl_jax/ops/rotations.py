@@ -7,6 +7,7 @@ such that its subgoal points along x+ needs to learn one direction only.
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+# Of the angle of each direction, in the order of `base.DIRECTIONS_XY`.
 _COS = (1.0, -1.0, 0.0, 0.0)
 _SIN = (0.0, 0.0, 1.0, -1.0)
 
@@ -56,4 +57,5 @@ def turn_body(quat: Float[Array, "4"], angle: Float[Array, ""]) -> Float[Array, 
     """Turns an orientation (w, x, y, z) by `angle`, radians, about its own z axis."""
     cos, sin = jnp.cos(angle / 2), jnp.sin(angle / 2)
     w, x, y, z = quat
+    # The turn stands on the right of the product: it is one about the body's axis.
     return jnp.stack([cos * w - sin * z, cos * x + sin * y, cos * y - sin * x, cos * z + sin * w])

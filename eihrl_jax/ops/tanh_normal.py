@@ -26,5 +26,6 @@ def sample(
     noise = jax.random.normal(key, mean.shape)
     unsquashed = mean + jnp.exp(log_std) * noise
     log_normal = -0.5 * jnp.square(noise) - log_std - 0.5 * jnp.log(2 * jnp.pi)
+    # The logarithm of the derivative of tanh at u.
     log_slope = 2.0 * (jnp.log(2.0) - unsquashed - jax.nn.softplus(-2.0 * unsquashed))
     return jnp.tanh(unsquashed), jnp.sum(log_normal - log_slope, axis=-1)
