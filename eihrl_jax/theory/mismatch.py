@@ -111,9 +111,8 @@ def mismatch(problem: Problem, k: Count, gamma: Discount) -> Mismatch:
       ValueError: an argument has a wrong shape or value, or there are too many paths.
       TypeError: k isn't an integer.
     """
-    model = (problem.transition, problem.reward)
-    kernel, rewards = tabular.k_step_model(*model, problem.flat, k, gamma)
-    kernels, option_rewards = tabular.option_models(*model, problem.low, k, gamma)
+    kernel, rewards = tabular.k_step_model(problem, k, gamma)
+    kernels, option_rewards = tabular.option_models(problem, k, gamma)
     p = problem.checked()
     mixed, mixed_rewards = tabular.mix(kernels, option_rewards, p.high)
 
@@ -152,11 +151,8 @@ def check_bounds(problem: Problem, k: Count, gamma: Discount) -> BoundCheck:
     if (reward < 0.0).any():
         raise ValueError(f"reward = {reward.min()} must be at least 0")
 
-    model = (problem.transition, reward)
-    flat_value = tabular.policy_value(*model, problem.flat, gamma)
-    low_value = tabular.hierarchical_value(*model, problem.low, problem.high, k, gamma)
-    gap = np.abs(flat_value - low_value).max(-1)
-
+    values = tabular.policy_value(problem, gamma), tabular.hierarchical_value(problem, k, gamma)
+    gap = np.abs(values[0] - values[1]).max(-1)
     nu = mismatch(problem, k, gamma)
     limits = _corrected(problem.checked(), k, gamma, nu)
     readings = {

@@ -8,6 +8,7 @@ from eihrl_jax.config.limits import Range
 from eihrl_jax.theory import arguments, bounds, fixtures, gaussians, mismatch, tabular
 
 CHAIN = fixtures.keep_or_fall(0.1)
+chain_with = CHAIN.replace
 P, R, FLAT, LOW, HIGH = CHAIN.transition, CHAIN.reward, CHAIN.flat, CHAIN.low, CHAIN.high
 
 OUT_OF_RANGE = [
@@ -49,49 +50,77 @@ OUT_OF_RANGE = [
     (lambda: fixtures.disjoint_uniform(0), "num = 0 must be at least 1"),
     (lambda: fixtures.random_mdps(0, 3, num_subgoals=0), "num_subgoals = 0 must be at least 1"),
     (lambda: fixtures.random_mdps(0, 3, closeness=-1.0), "closeness = -1.0 .* at least 0.0"),
-    (lambda: tabular.k_step_model(P, R, FLAT, 0, 0.9), "k = 0 must be at least 1"),
-    (lambda: tabular.optimal_value(P, R, 1.0), "gamma = 1.0 .* smaller than 1.0"),
-    (lambda: tabular.policy_value(P, R, FLAT, float("nan")), "gamma = nan"),
-    (lambda: tabular.hierarchical_value(P, R, LOW, HIGH, 2, -0.1), "gamma = -0.1"),
+    (lambda: tabular.k_step_model(CHAIN, 0, 0.9), "k = 0 must be at least 1"),
+    (lambda: tabular.optimal_value(CHAIN, 1.0), "gamma = 1.0 .* smaller than 1.0"),
+    (lambda: tabular.policy_value(CHAIN, float("nan")), "gamma = nan"),
+    (lambda: tabular.hierarchical_value(CHAIN, 2, -0.1), "gamma = -0.1"),
     (
         lambda: mismatch.path_total_variation(CHAIN, 3, max_paths=63),
         "k = 3 makes 64 paths, at most 63",
     ),
     (lambda: mismatch.mismatch(CHAIN, 10, 0.9), "k = 10 makes 1048576 paths"),
-    (lambda: mismatch.check_bounds(CHAIN.replace(reward=R - 1), 1, 0.9), "reward = -1.0 .* 0"),
+    (lambda: mismatch.check_bounds(chain_with(reward=R - 1), 1, 0.9), "reward = -1.0 .* 0"),
 ]
 WRONG_TABLES = [
-    (lambda: tabular.policy_value(P, R, FLAT * 0.9, 0.9), "flat: a row sums to 0.9.* 1e-6"),
-    (lambda: tabular.policy_value(P * (1 + 2e-6), R, FLAT, 0.9), "transition: a row .* 1e-6"),
-    (lambda: tabular.policy_value(P, R, [[1.5, -0.5]] * 2, 0.9), "flat = -0.5 .* at least 0"),
-    (lambda: tabular.policy_value(P, R, [[np.nan, 1.0]] * 2, 0.9), "flat holds nan.* finite"),
-    (lambda: tabular.policy_value(P, R + np.inf, FLAT, 0.9), "reward holds inf.* finite"),
-    (lambda: tabular.policy_value(P, R, FLAT[:, :1], 0.9), r"flat has shape \(2, 1\).* 2, 2"),
-    (lambda: tabular.policy_value(P, R[:1], FLAT, 0.9), r"reward has shape \(1, 2\).* 2, 2"),
-    (lambda: tabular.policy_value(P[0], R, FLAT, 0.9), r"transition has shape \(2, 2\)"),
     (
-        lambda: tabular.policy_value(np.full((2, 2, 3), 1 / 3), R, FLAT, 0.9),
+        lambda: tabular.policy_value(chain_with(flat=FLAT * 0.9), 0.9),
+        "flat: a row sums to 0.9.* 1e-6",
+    ),
+    (
+        lambda: tabular.policy_value(chain_with(transition=P * (1 + 2e-6)), 0.9),
+        "transition: a row .* 1e-6",
+    ),
+    (
+        lambda: tabular.policy_value(chain_with(flat=[[1.5, -0.5]] * 2), 0.9),
+        "flat = -0.5 .* at least 0",
+    ),
+    (
+        lambda: tabular.policy_value(chain_with(flat=[[np.nan, 1.0]] * 2), 0.9),
+        "flat holds nan.* finite",
+    ),
+    (lambda: tabular.policy_value(chain_with(reward=R + np.inf), 0.9), "reward holds inf.* finite"),
+    (
+        lambda: tabular.policy_value(chain_with(flat=FLAT[:, :1]), 0.9),
+        r"flat has shape \(2, 1\).* 2, 2",
+    ),
+    (
+        lambda: tabular.policy_value(chain_with(reward=R[:1]), 0.9),
+        r"reward has shape \(1, 2\).* 2, 2",
+    ),
+    (
+        lambda: tabular.policy_value(chain_with(transition=P[0]), 0.9),
+        r"transition has shape \(2, 2\)",
+    ),
+    (
+        lambda: tabular.policy_value(chain_with(transition=np.full((2, 2, 3), 1 / 3)), 0.9),
         r"transition has shape \(2, 2, 3\), .* equal S",
     ),
-    (lambda: tabular.optimal_value(P, 1.0, 0.9), r"reward has shape \(\).* 2, 2"),
-    (lambda: tabular.option_models(P[0], R, LOW, 2, 0.9), r"transition has shape \(2, 2\)"),
-    (lambda: tabular.option_models(P, R[0], LOW, 2, 0.9), r"reward has shape \(2,\)"),
-    (lambda: tabular.option_models(P, R, LOW[0], 2, 0.9), r"low has shape \(2, 2\).* any, 2, 2"),
-    (lambda: tabular.option_models(P, R, LOW * 0.9, 2, 0.9), "low: a row sums to 0.9"),
+    (lambda: tabular.optimal_value(chain_with(reward=1.0), 0.9), r"reward has shape \(\).* 2, 2"),
     (
-        lambda: tabular.hierarchical_value(P, R, LOW, HIGH[:, :1], 2, 0.9),
+        lambda: tabular.option_models(chain_with(transition=P[0]), 2, 0.9),
+        r"transition has shape \(2, 2\)",
+    ),
+    (lambda: tabular.option_models(chain_with(reward=R[0]), 2, 0.9), r"reward has shape \(2,\)"),
+    (
+        lambda: tabular.option_models(chain_with(low=LOW[0]), 2, 0.9),
+        r"low has shape \(2, 2\).* any, 2, 2",
+    ),
+    (lambda: tabular.option_models(chain_with(low=LOW * 0.9), 2, 0.9), "low: a row sums to 0.9"),
+    (
+        lambda: tabular.hierarchical_value(chain_with(high=HIGH[:, :1]), 2, 0.9),
         r"high has shape \(2, 1\).* 2, 2",
     ),
-    (lambda: tabular.hierarchical_value(P, R, LOW, HIGH - 1, 2, 0.9), "high = -.* at least 0"),
-    (lambda: mismatch.agreement(CHAIN.replace(low=LOW[..., :1]), 2), r"low has shape \(2, 2, 1\)"),
     (
-        lambda: mismatch.path_total_variation(
-            CHAIN.replace(transition=np.full((2, 2, 3), 1 / 3)), 2
-        ),
+        lambda: tabular.hierarchical_value(chain_with(high=HIGH - 1), 2, 0.9),
+        "high = -.* at least 0",
+    ),
+    (lambda: mismatch.agreement(chain_with(low=LOW[..., :1]), 2), r"low has shape \(2, 2, 1\)"),
+    (
+        lambda: mismatch.path_total_variation(chain_with(transition=np.full((2, 2, 3), 1 / 3)), 2),
         r"transition has shape \(2, 2, 3\), .* equal S",
     ),
     (
-        lambda: mismatch.path_total_variation(CHAIN.replace(high=HIGH / 2), 2),
+        lambda: mismatch.path_total_variation(chain_with(high=HIGH / 2), 2),
         "high: a row sums to 0.5",
     ),
 ]
@@ -132,5 +161,5 @@ def test_an_unknown_word_is_answered_with_the_known_ones():
 def test_rows_may_miss_one_by_rounding_and_are_normalised():
     almost = FLAT * (1.0 + 9e-7)
     np.testing.assert_array_equal(arguments.probabilities("flat", almost, (2, 2)), FLAT)
-    found = tabular.policy_value(P, R, almost, 0.9)
+    found = tabular.policy_value(chain_with(flat=almost), 0.9)
     np.testing.assert_allclose(found, [10.0, 0.0], rtol=1e-14)

@@ -89,9 +89,7 @@ def test_the_missing_factor_k_breaks_the_printed_bound_in_the_l1_norm():
     problem = fixtures.keep_or_fall(0.1)
     result = mismatch.check_bounds(problem, 2, 0.9)
     assert result.gap == near(Fraction(1000, 271))
-    low_value = tabular.hierarchical_value(
-        problem.transition, problem.reward, problem.low, problem.high, 2, 0.9
-    )
+    low_value = tabular.hierarchical_value(problem, 2, 0.9)
     np.testing.assert_allclose(low_value, [1710 / 271, 0.0], rtol=1e-12)
     assert result.bounds["path"] == near(Fraction(1000, 271))
     assert result.bounds["printed, path L1"] == near(Fraction(1190, 361))
@@ -103,16 +101,16 @@ def test_the_missing_factor_k_breaks_the_printed_bound_in_the_l1_norm():
 def test_the_same_without_discount_inside_segments():
     p = fixtures.keep_or_fall(0.1)
     options = {"segment_reward": "undiscounted"}
-    flat = tabular.segment_value(p.transition, p.reward, p.flat, 2, 0.9, **options)
-    low = tabular.hierarchical_value(p.transition, p.reward, p.low, p.high, 2, 0.9, **options)
+    flat = tabular.segment_value(p, 2, 0.9, **options)
+    low = tabular.hierarchical_value(p, 2, 0.9, **options)
     assert np.abs(flat - low).max() == near(Fraction(20000, 5149))
     assert bounds.value_gap_bound(0.1, 2, 0.9, **options) == near(Fraction(20000, 5149))
 
 
 def test_long_segments_and_rare_falls():
     p = fixtures.keep_or_fall(0.01)
-    flat = tabular.policy_value(p.transition, p.reward, p.flat, 0.99)
-    low = tabular.hierarchical_value(p.transition, p.reward, p.low, p.high, 25, 0.99)
+    flat = tabular.policy_value(p, 0.99)
+    low = tabular.hierarchical_value(p, 25, 0.99)
     assert (flat - low).max() == pytest.approx(4.348642, abs=5e-7)
     for nu, printed, derived in [(0.02, 1.282791, 5.064486), (0.01, 0.641396, 2.532243)]:
         bound = bounds.published_hierarchy_bound
@@ -122,8 +120,8 @@ def test_long_segments_and_rare_falls():
 
 def test_goals_at_equal_distances_break_the_theorem_on_subgoals():
     p = fixtures.equal_distances()
-    flat = tabular.policy_value(p.transition, p.reward, p.flat, 0.5)
-    low = tabular.hierarchical_value(p.transition, p.reward, p.low, p.high, 1, 0.5)
+    flat = tabular.policy_value(p, 0.5)
+    low = tabular.hierarchical_value(p, 1, 0.5)
     np.testing.assert_allclose(flat - low, [1.0, 0.0, 0.0], atol=1e-14)
     # Both displacements are 1, so that realised pairs allow a Lipschitz constant of 0.
     assert bounds.published_subgoal_bound(0.0, 1.0, 0.0, 1, 0.5) == 0.0

@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from eihrl_jax.theory import bounds, fixtures, mismatch, tabular
+from eihrl_jax.theory import problem as problem_lib
 
 CORRECTED = ("path", "path, linear", "agreement", "one step", "endpoint")
 GAMMAS = (0.3, 0.9, 0.99)
@@ -152,8 +153,8 @@ def test_bounds_are_ordered_and_the_gap_is_that_of_the_values():
         np.testing.assert_allclose(check.bounds["printed, endpoint max"], expected, rtol=1e-12)
         held = check.gap <= expected * (1.0 + 1e-9) + 1e-10
         np.testing.assert_array_equal(check.holds["printed, endpoint max"], held)
-        flat = tabular.policy_value(p.transition, p.reward, p.flat, gamma)
-        low = tabular.hierarchical_value(p.transition, p.reward, p.low, p.high, k, gamma)
+        flat = tabular.policy_value(p, gamma)
+        low = tabular.hierarchical_value(p, k, gamma)
         np.testing.assert_array_equal(check.gap, np.abs(flat - low).max(-1))
 
 
@@ -162,15 +163,15 @@ def test_theorem_2_bounds_optimal_values(index):
     problems, k = problems_of(index)
     num = 400
     p = jax.tree.map(lambda array: array[:num], problems)
-    model = (p.transition, p.reward)
     meant, other = p.low, np.roll(problems.low, 1, 0)[:num]
     weight = np.linspace(0.0, 0.5, len(meant))[:, None, None, None]
     executed = (1.0 - weight) * meant + weight * other
-    span = np.ptp(model[1], axis=(-2, -1))
+    slipping = p.replace(low=executed)
+    span = np.ptp(p.reward, axis=(-2, -1))
     for gamma in GAMMAS:
-        best, policy = tabular.optimal_value(*model, gamma)
-        value, _ = tabular.optimal_hierarchical_value(*model, meant, k, gamma)
-        again, _ = tabular.optimal_hierarchical_value(*model, executed, k, gamma)
+        best, policy = tabular.optimal_value(p, gamma)
+        value, _ = tabular.optimal_hierarchical_value(p, k, gamma)
+        again, _ = tabular.optimal_hierarchical_value(slipping, k, gamma)
         assert (best >= value - 1e-10).all() and (best >= again - 1e-10).all()
 
         common = mismatch.agreement(p.replace(flat=policy), k)
@@ -202,18 +203,26 @@ def line_world(rng, num_states=6, num_actions=3, num_subgoals=2):
     reward = rng.random((num_states, num_actions))
     rows = rng.dirichlet(np.full(num_actions, 0.5), (2, num_subgoals, num_states))
     weight = rng.uniform(0.0, 0.3)
-    return transition, reward, rows[0], (1.0 - weight) * rows[0] + weight * rows[1]
+    world = problem_lib.Problem(
+        transition,
+        reward,
+        flat=np.full(reward.shape, 1.0 / num_actions),
+        low=rows[0],
+        high=np.full((num_states, num_subgoals), 1.0 / num_subgoals),
+    )
+    return world, (1.0 - weight) * rows[0] + weight * rows[1]
 
 
-def wasserstein_gap_and_bound(transition, reward, first, second, k, gamma):
+def wasserstein_gap_and_bound(world, other_low, k, gamma):
     """Returns the gap of the optimal values on a line, and what Theorem 3 says of it."""
     values, ends, pays = [], [], []
-    for low in (first, second):
-        values += [tabular.optimal_hierarchical_value(transition, reward, low, k, gamma)[0]]
-        kernel, rewards = tabular.option_models(transition, reward, low, k, gamma)
+    for problem in (world, world.replace(low=other_low)):
+        values += [tabular.optimal_hierarchical_value(problem, k, gamma)[0]]
+        kernel, rewards = tabular.option_models(problem, k, gamma)
         ends, pays = [*ends, kernel], [*pays, rewards]
-    places = np.arange(len(reward))
-    pairs = zip(ends[0].reshape(-1, len(reward)), ends[1].reshape(-1, len(reward)), strict=True)
+    num_states = len(world.reward)
+    places = np.arange(num_states)
+    pairs = zip(ends[0].reshape(-1, num_states), ends[1].reshape(-1, num_states), strict=True)
     distance = max(stats.wasserstein_distance(places, places, *pair) for pair in pairs)
     slope = min(np.abs(np.diff(value)).max() for value in values)
     gap = np.abs(pays[0] - pays[1]).max()
@@ -224,15 +233,14 @@ def wasserstein_gap_and_bound(transition, reward, first, second, k, gamma):
 def test_theorem_3_bounds_values_by_how_far_apart_segments_end():
     rng = np.random.default_rng(0)
     for i in range(150):
-        world = line_world(rng)
-        gap, limit = wasserstein_gap_and_bound(*world, 1 + i % 3, GAMMAS[i // 3 % 3])
+        world, other_low = line_world(rng)
+        gap, limit = wasserstein_gap_and_bound(world, other_low, 1 + i % 3, GAMMAS[i // 3 % 3])
         assert gap <= limit * (1.0 + 1e-9) + 1e-10
 
 
 @pytest.mark.parametrize("delta", [0.05, 0.5])
 def test_theorem_3_is_an_equality_where_one_step_falls(delta):
     stays, falls = (fixtures.keep_or_fall(share, per_step=True) for share in (0.0, delta))
-    world = (stays.transition, stays.reward, stays.low, falls.low)
-    gap, limit = wasserstein_gap_and_bound(*world, 1, 0.9)
+    gap, limit = wasserstein_gap_and_bound(stays, falls.low, 1, 0.9)
     assert gap == pytest.approx(10.0 * delta / (1.0 - 0.9 * (1.0 - delta)), rel=1e-12)
     assert limit == pytest.approx(gap, rel=1e-12)

@@ -62,7 +62,7 @@ def test_values_of_a_flat_policy_are_the_limit_of_value_iteration(gamma):
             ahead = sum(problem.transition[s, a, n] * value[n] for n in range(3))
             backed_up[s] += problem.flat[s, a] * (problem.reward[s, a] + gamma * ahead)
         value = backed_up
-    found = tabular.policy_value(problem.transition, problem.reward, problem.flat, gamma)
+    found = tabular.policy_value(problem, gamma)
     np.testing.assert_allclose(found, value, rtol=1e-10, atol=1e-12)
 
 
@@ -81,13 +81,14 @@ def test_models_of_segments_are_sums_over_paths(k, segment_reward):
                 pay += discounts[i] * problem.reward[s, a]
             ends[g, states[0], states[-1]] += chance
             pays[g, states[0]] += chance * pay
-    model = (problem.transition, problem.reward)
     options = {"segment_reward": segment_reward}
-    kernels, rewards = tabular.option_models(*model, problem.low, k, gamma, **options)
+    kernels, rewards = tabular.option_models(problem, k, gamma, **options)
     np.testing.assert_allclose(kernels, ends, rtol=1e-12)
     np.testing.assert_allclose(rewards, pays, rtol=1e-12)
     for g in range(2):
-        kernel, reward = tabular.k_step_model(*model, problem.low[g], k, gamma, **options)
+        kernel, reward = tabular.k_step_model(
+            problem.replace(flat=problem.low[g]), k, gamma, **options
+        )
         np.testing.assert_allclose(kernel, ends[g], rtol=1e-12)
         np.testing.assert_allclose(reward, pays[g], rtol=1e-12)
 
@@ -97,17 +98,15 @@ def test_models_of_segments_are_sums_over_paths(k, segment_reward):
 def test_values_of_a_hierarchy_are_those_of_its_markov_chain(k, segment_reward):
     problem, gamma = draw(3, num_actions=3), 0.85
     expected = step_by_step(problem, problem.high, k, gamma, segment_reward)
-    arrays = (problem.transition, problem.reward, problem.low, problem.high)
-    found = tabular.hierarchical_value(*arrays, k, gamma, segment_reward=segment_reward)
+    found = tabular.hierarchical_value(problem, k, gamma, segment_reward=segment_reward)
     np.testing.assert_allclose(found, expected, rtol=1e-11)
     # The flat policy as the only subgoal.
     alone = problem.replace(low=problem.flat[None], high=np.ones((3, 1)))
     expected = step_by_step(alone, alone.high, k, gamma, segment_reward)
-    flat = (problem.transition, problem.reward, problem.flat)
-    found = tabular.segment_value(*flat, k, gamma, segment_reward=segment_reward)
+    found = tabular.segment_value(problem, k, gamma, segment_reward=segment_reward)
     np.testing.assert_allclose(found, expected, rtol=1e-11)
     if segment_reward == "discounted":
-        np.testing.assert_allclose(found, tabular.policy_value(*flat, gamma), rtol=1e-11)
+        np.testing.assert_allclose(found, tabular.policy_value(problem, gamma), rtol=1e-11)
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.6, 0.99])
@@ -116,7 +115,7 @@ def test_no_deterministic_policy_beats_the_optimal_value(seed, gamma):
     problem = draw(seed, num_states=4, num_actions=3)
     model = (problem.transition, problem.reward)
     values = [evaluate(*model, list(a), gamma) for a in itertools.product(range(3), repeat=4)]
-    found, policy = tabular.optimal_value(*model, gamma)
+    found, policy = tabular.optimal_value(problem, gamma)
     np.testing.assert_allclose(found, np.max(values, 0), rtol=1e-10, atol=1e-12)
     assert set(policy.flat) <= {0.0, 1.0} and (policy.sum(-1) == 1.0).all()
     chosen = evaluate(*model, policy.argmax(-1), gamma)
@@ -131,9 +130,8 @@ def test_no_deterministic_high_level_beats_the_optimal_one(seed, k, segment_rewa
         step_by_step(problem, np.eye(3)[list(subgoals)], k, gamma, segment_reward)
         for subgoals in itertools.product(range(3), repeat=3)
     ]
-    arrays = (problem.transition, problem.reward, problem.low)
     found, policy = tabular.optimal_hierarchical_value(
-        *arrays, k, gamma, segment_reward=segment_reward
+        problem, k, gamma, segment_reward=segment_reward
     )
     np.testing.assert_allclose(found, np.max(values, 0), rtol=1e-10)
     assert set(policy.flat) <= {0.0, 1.0} and (policy.sum(-1) == 1.0).all()
@@ -143,20 +141,17 @@ def test_no_deterministic_high_level_beats_the_optimal_one(seed, k, segment_rewa
 
 def test_many_mdps_at_once_are_each_alone():
     problems, k, gamma = fixtures.random_mdps(4, 5), 2, 0.9
-    p = problems
-    model = (p.transition, p.reward)
-    flat = tabular.policy_value(*model, p.flat, gamma)
-    hierarchical = tabular.hierarchical_value(*model, p.low, p.high, k, gamma)
-    best, _ = tabular.optimal_value(*model, gamma)
-    best_high, _ = tabular.optimal_hierarchical_value(*model, p.low, k, gamma)
+    flat = tabular.policy_value(problems, gamma)
+    hierarchical = tabular.hierarchical_value(problems, k, gamma)
+    best, _ = tabular.optimal_value(problems, gamma)
+    best_high, _ = tabular.optimal_hierarchical_value(problems, k, gamma)
     for i in range(5):
         one = jax.tree.map(lambda array, i=i: array[i], problems)
-        model = (one.transition, one.reward)
         alone = [
-            tabular.policy_value(*model, one.flat, gamma),
-            tabular.hierarchical_value(*model, one.low, one.high, k, gamma),
-            tabular.optimal_value(*model, gamma)[0],
-            tabular.optimal_hierarchical_value(*model, one.low, k, gamma)[0],
+            tabular.policy_value(one, gamma),
+            tabular.hierarchical_value(one, k, gamma),
+            tabular.optimal_value(one, gamma)[0],
+            tabular.optimal_hierarchical_value(one, k, gamma)[0],
         ]
         together = [flat[i], hierarchical[i], best[i], best_high[i]]
         np.testing.assert_allclose(together, alone, rtol=1e-12)
@@ -164,9 +159,8 @@ def test_many_mdps_at_once_are_each_alone():
 
 def test_rewards_are_counted_from_any_zero():
     problem, gamma = draw(5), 0.8
-    arrays = (problem.low, problem.high, 3, gamma)
-    found = tabular.hierarchical_value(problem.transition, problem.reward, *arrays)
-    lower = tabular.hierarchical_value(problem.transition, problem.reward - 2.0, *arrays)
+    found = tabular.hierarchical_value(problem, 3, gamma)
+    lower = tabular.hierarchical_value(problem.replace(reward=problem.reward - 2.0), 3, gamma)
     np.testing.assert_allclose(found - lower, 2.0 / (1.0 - gamma), rtol=1e-12)
 
 
@@ -174,7 +168,8 @@ def test_a_policy_stays_where_gains_are_only_rounding():
     # Equal actions: policy iteration must end, also where values are large.
     transition = np.full((3, 4, 3), 1.0 / 3.0)
     reward = np.full((3, 4), 0.1) * [[1.0], [1.0 + 1e-15], [1.0]]
-    value, policy = tabular.optimal_value(transition, reward, 1.0 - 1e-7)
+    equal = draw(0, num_actions=4).replace(transition=transition, reward=reward)
+    value, policy = tabular.optimal_value(equal, 1.0 - 1e-7)
     np.testing.assert_allclose(value, 1e6, rtol=1e-6)
     np.testing.assert_array_equal(policy, np.eye(4)[[0, 0, 0]])
 
