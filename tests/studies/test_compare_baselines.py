@@ -2,15 +2,19 @@
 
 import csv
 import dataclasses
+import json
 
 import pytest
 
 from eihrl_jax import base, robots
 from eihrl_jax.config import baselines as baselines_config
-from eihrl_jax.config import presets
+from eihrl_jax.config import codec, presets
+from eihrl_jax.envs import hierarchy
 from eihrl_jax.evaluation import results
+from eihrl_jax.reporting import evaluations
+from eihrl_jax.runs import policies
 from eihrl_jax.studies import compare_baselines
-from eihrl_jax.training import baselines
+from eihrl_jax.training import baselines, high
 
 
 @pytest.mark.parametrize("method", ["droq", "higl", "hrac", "hiro", "hess"])
@@ -85,6 +89,55 @@ def test_our_decisions_fill_the_budget_but_for_less_than_a_row(num_steps, tmp_pa
     assert (options.task.maze, options.task.reward, options.seed) == ("s", "dense", 1)
 
 
+def test_each_run_is_made_once_seed_by_seed(tmp_path, monkeypatch):
+    config = compare_baselines.CompareConfig(
+        methods=("ours", "rand_h", "droq"), mazes=("u",), rewards=("dense",), out=tmp_path
+    )
+    made = []
+
+    def finish(options, kind, meta):
+        policies.save(options.run / "policy", kind=kind, params={}, meta=meta)
+        (options.run / "config.json").write_text(codec.to_json(options))
+        made.append(options.run.name)
+
+    def evaluate(options):
+        about = {"config": json.loads(codec.to_json(options))}
+        options.out.mkdir()
+        results.save(options.out / "eval.json", results.Evaluation(about=about, cells=()))
+        made.append(options.out.name.removesuffix(".incomplete"))
+
+    monkeypatch.setattr(
+        compare_baselines,
+        "_train_ours",
+        lambda options: finish(options, "high", {"num_updates": options.learner.num_updates}),
+    )
+    monkeypatch.setattr(
+        baselines,
+        "train",
+        lambda options: finish(options, "baseline", {"num_steps": options.num_steps}),
+    )
+    monkeypatch.setattr(evaluations, "evaluate", evaluate)
+    for _ in range(2):
+        compare_baselines.main(config)
+        methods = ("ours", "rand_h", "droq")
+        assert made == [f"{method}-u-dense-{seed}" for seed in (0, 1, 2) for method in methods]
+
+
+def test_ours_is_evaluated_with_physics_too(tmp_path, monkeypatch):
+    config = compare_baselines.CompareConfig(out=tmp_path)
+    options = compare_baselines.high_options(config, compare_baselines.Run("ours", "s", "dense", 0))
+    calls = []
+    monkeypatch.setattr(high, "train", lambda *args, **kwargs: calls.append((args, kwargs)))
+    compare_baselines._train_ours(options)
+    (((trained,), others),) = calls
+    (walking,) = others.values()
+    assert trained == options
+    assert isinstance(walking, hierarchy.Hierarchy)
+    assert walking.env._reward == "dense" and walking.env.robot.name == "ant"
+    assert int(walking.table.mazes.num_decisions.max()) == 40
+
+
+@pytest.mark.slow  # A minute, nearly all of it compilation: learning, evaluations, walking.
 def test_ours_learns_and_walks_and_rand_h_only_walks(tmp_path):
     config = compare_baselines.CompareConfig(
         methods=("ours", "rand_h"),

@@ -1,16 +1,23 @@
 """Training what is shipped and reporting on it, with presets that are tiny."""
 
 import dataclasses
+import itertools
+import json
+import pathlib
+import shutil
 
+import numpy as np
 import pytest
 
 from eihrl_jax import base
-from eihrl_jax.config import changes, presets
+from eihrl_jax.config import changes, codec, presets
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
-from eihrl_jax.reporting import cached_runs, report
+from eihrl_jax.evaluation import results
+from eihrl_jax.reporting import cached_runs, evaluations, report
 from eihrl_jax.runs import policies
 from eihrl_jax.studies import ablate_high, train_policies
+from eihrl_jax.training import high
 
 
 def tiny(name, **task):
@@ -29,15 +36,71 @@ def tiny(name, **task):
     )
 
 
+def made_up_training(options):
+    """Leaves what a training leaves, as far as it is looked at."""
+    meta = {"num_updates": options.learner.num_updates}
+    policies.save(options.run / "policy", kind="high", params={}, meta=meta)
+    (options.run / "config.json").write_text(codec.to_json(options))
+    (options.run / "metrics.csv").write_text("step,eval/success\n1,0.1\n5,0.6\n")
+
+
+def made_up_evaluation(options):
+    """Leaves what an evaluation leaves, with rates that differ by high level and maze."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    cells = []
+    for robot, movement, high_level in itertools.product(
+        options.robot, options.movement, options.high
+    ):
+        agent = results.Agent(robot=robot, movement=movement, high=high_level, low=None)
+        for maze in options.mazes:
+            num = options.episodes
+            episodes = results.Episodes(
+                achieved=np.random.default_rng(len(cells)).integers(0, 2, num),
+                returns=np.zeros(num),
+                decisions=np.ones(num, int),
+                has_fallen=np.zeros(num, bool),
+                is_unstable=np.zeros(num, bool),
+                seed=np.zeros(num, int),
+            )
+            cells.append(results.summarise(maze, agent, episodes, num_goals=1, num_decisions=24))
+        maze = pathlib.PurePath(options.mazes[0]).stem
+        pictures = [f"{maze}-heatmap.png", "heatmaps.png"] if options.heatmaps else []
+        pictures += [f"{maze}.gif"] if options.animate != "none" else []
+        for picture in pictures:
+            (options.out / f"{agent.file_name}-{picture}").touch()
+    num_episodes = sum(cell.num_episodes for cell in cells)
+    (options.out / "episodes.csv").write_text("header\n" + "episode\n" * num_episodes)
+    about = {"config": json.loads(codec.to_json(options))}
+    results.save(options.out / "eval.json", results.Evaluation(about=about, cells=tuple(cells)))
+
+
+@pytest.fixture(params=["made up", pytest.param("real", marks=pytest.mark.slow)])
+def work(request, monkeypatch):
+    """Trainings and evaluations are made up; for real they take minutes, all of it compilation."""
+    if request.param == "made up":
+        monkeypatch.setattr(high, "train", made_up_training)
+        monkeypatch.setattr(evaluations, "evaluate", made_up_evaluation)
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    """Returns the folder of high levels from tiny presets."""
+    """Returns the folder of high levels from tiny presets; the first is trained, others copy it."""
     out = tmp_path_factory.mktemp("policies")
+    first, train = out / "generalist-rooms-0", high.train
+
+    def train_first(options):
+        if options.run == first:
+            train(options)
+        else:
+            shutil.copytree(first, options.run)
+            (options.run / "config.json").write_text(codec.to_json(options))
+
     with pytest.MonkeyPatch.context() as patch:
         rooms = tiny("generalist", num_rooms=3, room_sides=(4, 6))
         patch.setattr(presets, "HIGH", {"best": tiny("best"), "generalist": rooms})
+        patch.setattr(high, "train", train_first)
         options = train_policies.PoliciesConfig(
-            presets=("best", "generalist"), mazes=("random", "u"), seeds=(0, 1), out=out
+            presets=("generalist", "best"), mazes=("random", "u"), seeds=(0, 1), out=out
         )
         train_policies.main(options)
         times = {path: path.stat().st_mtime_ns for path in out.glob("*/policy/meta.json")}
@@ -75,7 +138,7 @@ def test_finished_runs_are_shipped_with_their_metrics(trained, tmp_path, monkeyp
     assert (tmp_path / "best-u-0" / "high_metrics.csv").read_text().startswith("step,")
 
 
-def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, tmp_path, capsys):
+def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, work, tmp_path, capsys):
     options = report.ReportConfig(
         policies=trained,
         parts=("table1", "more_time", "learning"),
@@ -99,7 +162,40 @@ def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, tmp_path, cap
         report.main(dataclasses.replace(options, parts=("table1",), episodes=4))
 
 
-def test_what_a_killed_evaluation_left_is_begun_anew(tmp_path):
+def test_every_part_of_the_report_has_its_rows(trained, tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluations, "evaluate", made_up_evaluation)
+    (trained / "higl-u-0").mkdir(exist_ok=True)
+    options = report.ReportConfig(
+        policies=trained,
+        parts=("table1", "trained", "table2"),
+        episodes=6,
+        slow_episodes=2,
+        out=tmp_path,
+    )
+    report.main(options)
+    tables = (tmp_path / "tables.md").read_text().split("**")
+    labels = {
+        title: [line.split(" | ")[0].strip("| ") for line in text.split("\n")[4:] if line]
+        for title, text in zip(tables[1::2], tables[2::2], strict=True)
+    }
+    walked = ["oracle", "walking"]
+    best, generalist, uniform = (
+        [f"{label}, {movement}" for movement in walked]
+        for label in ("ours, best", "ours, generalist", "RAND-H")
+    )
+    published = ["paper, oracle", "paper, walking", "paper, HIGL"]
+    assert labels["Table 1"] == [*published, *best, *generalist, *uniform]
+    assert labels["U, S and Spiral"] == best
+    assert labels["Table 2, Maze-U"] == ["paper, oracle", "paper, HIGL", *best, "HIGL, walking"]
+    # Only in U was anything trained.
+    assert labels["How their episodes ended"] == best
+    humanoid = results.load(tmp_path / "evaluations" / "table2-best-humanoid-full" / "eval.json")
+    assert {cell.num_episodes for cell in humanoid.cells} == {2}
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("The walking ant, u.") == 4 and page.count("The humanoid in U.") == 2
+
+
+def test_what_a_killed_evaluation_left_is_begun_anew(work, tmp_path):
     options = evaluate_config.EvaluateConfig(
         mazes=("u",),
         robot=("point",),
@@ -107,6 +203,7 @@ def test_what_a_killed_evaluation_left_is_begun_anew(tmp_path):
         high=("uniform",),
         episodes=2,
         animate="none",
+        heatmaps=False,
         out=tmp_path / "u",
     )
     left = tmp_path / "u.incomplete"
@@ -130,7 +227,7 @@ def test_bad_input_is_named(tmp_path):
         report.main(options)
 
 
-def test_variants_of_a_preset_are_trained_and_compared(tmp_path, monkeypatch):
+def test_variants_of_a_preset_are_trained_and_compared(work, tmp_path, monkeypatch):
     monkeypatch.setattr(presets, "HIGH", {"best": tiny("best")})
     options = ablate_high.AblationConfig(
         preset="best",
