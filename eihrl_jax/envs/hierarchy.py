@@ -36,6 +36,15 @@ class Trace(struct.PyTreeNode):
 class Hierarchy:
     """An environment whose action is a direction, followed by a low level for k control steps.
 
+    >>> import jax, eihrl_jax
+    >>> robot, maze = eihrl_jax.load_robot("point"), eihrl_jax.load_maze("u")
+    >>> low_policy = eihrl_jax.load_low("point", robot)
+    >>> env = eihrl_jax.Hierarchy(eihrl_jax.PhysicsMaze.of_robot(robot, maze), low_policy)
+    >>> state = jax.jit(env.reset)(jax.random.key(0))
+    >>> state = jax.jit(env.step)(state, 0)  # a cell to the east
+    >>> float(state.metrics["decisions"])
+    1.0
+
     Attributes:
       env: the maze with the robot.
       low_policy: the low level.

@@ -25,8 +25,9 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
 from eihrl_jax.config import checks, limits
-from eihrl_jax.envs import raster, task
+from eihrl_jax.envs import postures, raster, subgoals, task
 from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.robots import robot as robot_lib
 
 _ABOVE_MINUS_ONE = -1.0 + 2.0**-24  # where the inverse error function is still finite
 
@@ -82,7 +83,15 @@ EnvState: TypeAlias = base.EnvState[OracleMazeState, raster.Picture]
 
 
 class OracleMaze:
-    """One maze, or a different one in every episode, with oracle movement."""
+    """One maze, or a different one in every episode, with oracle movement.
+
+    >>> import jax, eihrl_jax
+    >>> robot, maze = eihrl_jax.load_robot("ant"), eihrl_jax.load_maze("u")
+    >>> env = eihrl_jax.OracleMaze.of_robot(robot, maze)
+    >>> state = jax.jit(env.reset)(jax.random.key(0))
+    >>> state.obs.shape
+    (15, 15, 3)
+    """
 
     def __init__(
         self,
@@ -126,6 +135,41 @@ class OracleMaze:
         self.reward: base.Reward = reward
         pack = functools.partial(raster.pack, view=view)
         self._silhouettes = jax.vmap(pack)(jnp.asarray(silhouettes))
+
+    @classmethod
+    def of_robot(
+        cls,
+        robot: robot_lib.Robot,
+        mazes: maze_lib.Maze,
+        *,
+        view: raster.View = raster.View(),
+        gait: subgoals.Gait | None = None,
+        num_substeps: int = Movement.num_substeps,
+        reward: base.Reward = "sparse",
+    ) -> "OracleMaze":
+        """Builds the maze for a robot, whose postures are shown and whose radius stops at walls.
+
+        Args:
+          robot: the robot.
+          mazes: see the constructor, like all that isn't named here.
+          view: see there.
+          gait: what the oracle imitates; None: a cell per subgoal, `base.SIGMA`, shipped postures.
+          num_substeps: see `Movement`.
+          reward: see the constructor.
+
+        Raises:
+          base.UserError: a number is out of its limits.
+        """
+        if gait is None:
+            gait = subgoals.gait(robot, None, base.CELL, base.SIGMA)
+        movement = Movement(
+            step=gait.step,
+            sigma=gait.sigma,
+            num_substeps=num_substeps,
+            body_radius=robot.body_radius,
+        )
+        silhouettes = postures.footprints(robot, gait.bank, view)
+        return cls(mazes, silhouettes, view=view, movement=movement, reward=reward)
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""

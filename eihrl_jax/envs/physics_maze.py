@@ -25,7 +25,8 @@ from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import low_obs, raster, task
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import kinematics
+from eihrl_jax.physics import engines, kinematics
+from eihrl_jax.robots import robot as robot_lib
 
 
 class Body(struct.PyTreeNode):
@@ -88,6 +89,13 @@ class PhysicsMaze:
 
     Metrics, so far in the episode: `success` visited goals / goals, `decisions`, `return`, and 0 or
     1 for `fell` and `broke_down`.
+
+    >>> import jax, eihrl_jax
+    >>> robot, maze = eihrl_jax.load_robot("point"), eihrl_jax.load_maze("u")
+    >>> env = eihrl_jax.PhysicsMaze.of_robot(robot, maze)
+    >>> state = jax.jit(env.reset)(jax.random.key(0))
+    >>> state.inner.body.physics.qpos.shape  # x and y, units
+    (2,)
     """
 
     def __init__(
@@ -116,6 +124,19 @@ class PhysicsMaze:
         self._reward: base.Reward = reward
         self._engine = engine
         self._capsules = kinematics.capsules(engine.model)
+
+    @classmethod
+    def of_robot(
+        cls,
+        robot: robot_lib.Robot,
+        mazes: maze_lib.Maze,
+        *,
+        view: raster.View = raster.View(),
+        engine: base.EngineName = "mujoco",
+        reward: base.Reward = "sparse",
+    ) -> "PhysicsMaze":
+        """Builds the maze for a robot and an engine by name; see the constructor."""
+        return cls(engines.make(robot, engine), mazes, view=view, reward=reward)
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""

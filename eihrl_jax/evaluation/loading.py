@@ -19,7 +19,6 @@ from eihrl_jax.envs import (
     low_obs,
     oracle_maze,
     physics_maze,
-    postures,
     raster,
     subgoals,
 )
@@ -173,14 +172,7 @@ def oracle_env(
     Raises:
       base.UserError: a number is out of its limits.
     """
-    movement = oracle_maze.Movement(step=gait.step, sigma=gait.sigma, body_radius=robot.body_radius)
-    env = oracle_maze.OracleMaze(
-        stacked,
-        postures.footprints(robot, gait.bank, view),
-        view=view,
-        movement=movement,
-        reward=reward,
-    )
+    env = oracle_maze.OracleMaze.of_robot(robot, stacked, view=view, gait=gait, reward=reward)
     return RecordableOracle(env, gait.bank.qpos)
 
 

@@ -13,7 +13,7 @@ from eihrl_jax.agents import peg_a2c
 from eihrl_jax.agents.peg_a2c import LearnerState
 from eihrl_jax.config import checks
 from eihrl_jax.config import high as high_config
-from eihrl_jax.envs import oracle_maze, postures, raster, subgoals, wrappers
+from eihrl_jax.envs import oracle_maze, raster, subgoals, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.networks import actor_critic
 from eihrl_jax.runs import folders, policies
@@ -171,18 +171,14 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
     """
     robot = robots.load(task.robot)
     view = raster.View(extent=task.extent, pixels=task.pixels, map_radius=task.map_radius)
-    step, sigma, bank = subgoals.gait(robot, task.measured, task.step, task.sigma)
-    movement = oracle_maze.Movement(
-        step=step,
-        sigma=sigma,
-        num_substeps=task.num_substeps,
-        body_radius=robot.body_radius,
-    )
-    return oracle_maze.OracleMaze(
+    gait = subgoals.gait(robot, task.measured, task.step, task.sigma)
+    shown = gait.bank.replace(qpos=gait.bank.qpos[: task.num_postures])
+    return oracle_maze.OracleMaze.of_robot(
+        robot,
         _mazes(task, seed),
-        postures.footprints(robot, bank, view)[: task.num_postures],
         view=view,
-        movement=movement,
+        gait=gait._replace(bank=shown),
+        num_substeps=task.num_substeps,
         reward=task.reward,
     )
 
