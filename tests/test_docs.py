@@ -20,7 +20,14 @@ DOCUMENTS = sorted(
 )
 
 
-@pytest.mark.parametrize("name", MODULES)
+TRAINING = ("eihrl_jax.reporting.evaluations", "eihrl_jax.training.high", "eihrl_jax.training.low")
+"""Examples that train or evaluate compile for half a minute what other tests compile otherwise."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in TRAINING)) for name in MODULES],
+)
 def test_examples_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     results = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)

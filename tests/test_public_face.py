@@ -33,6 +33,12 @@ def test_type_checkers_see_the_same_names():
     assert imported == {(place, name) for name, place in eihrl_jax._PLACES.items()}
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_each_name_has_an_example(name):
+    """`test_docs` runs them."""
+    assert ">>>" in getattr(eihrl_jax, name).__doc__
+
+
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'load_mase'"):
         eihrl_jax.load_mase  # noqa: B018

@@ -44,6 +44,9 @@ class EvaluateConfig:
       engine: physics engine of full movement.
       animate: an animation of one maze, of all, or of none.
       heatmaps: draw where the robot was, one picture per maze and agent.
+
+    >>> EvaluateConfig(mazes=("u", "spiral"), episodes=100).seeds
+    (0,)
     """
 
     mazes: limits.Several[str] = ("random", "g1", "g2", "g3")

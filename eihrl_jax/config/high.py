@@ -155,6 +155,10 @@ class HighConfig:
         "auto": found in the environment of the cluster.
       num_processes: processes of the run.
       process_id: number of this process, from 0.
+
+    >>> from eihrl_jax.config import presets
+    >>> presets.HIGH["best"].task.maze
+    'random'
     """
 
     preset: str = "paper"

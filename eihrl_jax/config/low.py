@@ -124,6 +124,10 @@ class LowConfig:
       evaluate_every: iterations between measurements of the subgoal statistics.
       checkpoint_every: iterations between checkpoints, a multiple of `evaluate_every`.
       num_postures: postures recorded at the end for the high level's pictures.
+
+    >>> from eihrl_jax.config import presets
+    >>> presets.LOW["point"].robot
+    'point'
     """
 
     preset: str = "paper"

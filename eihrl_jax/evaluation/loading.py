@@ -88,6 +88,10 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
 
     Raises:
       base.UserError: there is none, or it is damaged.
+
+    >>> high = load_high("best-random-0")
+    >>> picture = jnp.zeros(high.view.obs_shape, bool)
+    >>> direction = high.policy(picture, jax.random.key(0))  # an index of `base.DIRECTIONS_XY`
     """
     if name in evaluate_config.UNIFORM_NAMES:
         policy = jax.tree_util.Partial(_uniform_direction)
@@ -134,6 +138,9 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
 
     Raises:
       base.UserError: there is none, it is damaged, or another robot's.
+
+    >>> from eihrl_jax import robots
+    >>> policy = load_low("point", robots.load("point"))  # from `low_obs.LowObs` and a key to controls
     """
     path = policies.find(name, "low")
     params, meta = policies.load(path, kind="low", robot=robot.name)

@@ -36,6 +36,9 @@ def load(name_or_path: str | pathlib.Path, *, num_decisions: int | None = None) 
 
     Raises:
       base.UserError: unknown name, unreadable file, or a text that is not a maze.
+
+    >>> int(load("spiral").num_goals), int(load("spiral").num_decisions)
+    (5, 200)
     """
     name = str(name_or_path)
     if name not in NAMES:

@@ -29,6 +29,11 @@ class Maze(struct.PyTreeNode):
       start_jitter: float32, half-width of the uniform offset from the start cell's centre, units.
       num_goals: int32, number of goals of an episode.
       num_decisions: int32, time limit in subgoals (paper, Table 3 divided by 25).
+
+    >>> from eihrl_jax import mazes
+    >>> maze = mazes.parse("#####\\n#S.1#\\n#####")
+    >>> maze.wall.shape, int(maze.goal[1, 3])
+    ((3, 5), 1)
     """
 
     wall: Bool[Array, "R C"]

@@ -44,6 +44,14 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
 
     Raises:
       base.UserError: the folder isn't free; see also `evaluation.evaluate.run`.
+
+    >>> options = evaluate_config.EvaluateConfig(
+    ...     mazes=("u",), high=("best-u-0",), movement=("oracle",), episodes=20, animate="none"
+    ... )
+    >>> (cell,) = evaluate(options).cells
+    ant, oracle movement, best-u-0: compiling episodes ...
+    >>> cell.success.rate > 0.8
+    True
     """
     with folders.reserved(options.out):
         cells: list[results.Cell] = []

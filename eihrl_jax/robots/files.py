@@ -27,6 +27,9 @@ def load(name: str) -> Robot:
 
     Raises:
       base.UserError: there is no such robot, or its description is wrong.
+
+    >>> load("ant").steps_per_subgoal  # control steps
+    25
     """
     if name in _ROBOTS:
         return _ROBOTS[name]

@@ -46,6 +46,15 @@ def train(config: high_config.HighConfig, with_physics: base.Environment | None 
 
     Raises:
       base.UserError: an option or the run folder is not as it should be.
+
+    >>> learner = high_config.Learner(num_workers=2, num_updates=2)  # presets have thousands
+    >>> task = high_config.Task(maze="u")
+    >>> periods = dict.fromkeys(("log_every", "evaluate_every", "checkpoint_every"), 2)
+    >>> config = high_config.HighConfig(task=task, learner=learner, num_eval_episodes=2, **periods)
+    >>> seconds = train(config)
+    u high level: compiling training ...
+    >>> (config.run / "policy").is_dir()
+    True
     """
     folders.check_free(config.run, resume=config.resume)  # before anything slow
     parallel.connect(config.coordinator, config.num_processes, config.process_id)
