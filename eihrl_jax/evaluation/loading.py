@@ -140,7 +140,7 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
       base.UserError: there is none, it is damaged, or another robot's.
 
     >>> from eihrl_jax import robots
-    >>> policy = load_low("point", robots.load("point"))  # from `low_obs.LowObs` and a key to controls
+    >>> policy = load_low("point", robots.load("point"))  # from a `LowObs` and a key to controls
     """
     path = policies.find(name, "low")
     params, meta = policies.load(path, kind="low", robot=robot.name)

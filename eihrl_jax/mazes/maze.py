@@ -31,9 +31,9 @@ class Maze(struct.PyTreeNode):
       num_decisions: int32, time limit in subgoals (paper, Table 3 divided by 25).
 
     >>> from eihrl_jax import mazes
-    >>> maze = mazes.parse("#####\\n#S.1#\\n#####")
-    >>> maze.wall.shape, int(maze.goal[1, 3])
-    ((3, 5), 1)
+    >>> maze = mazes.load("u")
+    >>> maze.wall.shape, int(maze.num_goals)
+    ((7, 7), 1)
     """
 
     wall: Bool[Array, "R C"]
