@@ -34,9 +34,10 @@ def in_range(
     ...
     eihrl_jax.base.UserError: gamma = 1.5 must be at least 0.0 and at most 1.0
     """
+    # In the order and the words of the message.
     limits = {"at least": low, "at most": high, "greater than": above, "smaller than": below}
     is_inside = (
-        math.isfinite(value)
+        math.isfinite(value)  # nan compares with nothing
         and (low is None or value >= low)
         and (high is None or value <= high)
         and (above is None or value > above)

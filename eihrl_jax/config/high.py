@@ -181,11 +181,13 @@ class HighConfig:
         """Checks how the options fit together."""
         if self.network.kind == "patch":
             checks.divides("tile", self.network.tile, "pixels", self.task.pixels)
+        # A map and a patch have other shapes.
         if (self.network.kind == "planner") != (self.task.map_radius > 0):
             raise base.UserError(
                 f"network kind = {self.network.kind!r} doesn't fit map_radius = "
                 f"{self.task.map_radius}: the planner needs a map, and nothing else takes one"
             )
+        # Training is compiled in pieces of `log_every` updates, and stops only between them.
         checks.divides("log_every", self.log_every, "num_updates", self.learner.num_updates)
         checks.divides("log_every", self.log_every, "evaluate_every", self.evaluate_every)
         checks.divides("log_every", self.log_every, "checkpoint_every", self.checkpoint_every)

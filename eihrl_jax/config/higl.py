@@ -185,8 +185,10 @@ class HiglConfig(baselines.BaselineConfig):
         checks.divides(f"{name} * period", self.steps_per_round, "capacity", self.capacity)
         checks.divides(name, subgoals, "high_capacity", self.high_capacity)
         if self.guidance != "none":
+            # Both ends of a pair lie in one round, see `Adjacency.steps`.
             most = self.periods_per_round * self.period - 1
             checks.in_range("adjacency.steps", self.adjacency.steps, high=most)
+        # It is updated once where the controller is updated k times.
         if self.num_high_updates < 1:
             raise base.UserError(
                 f"updates_per_step = {self.updates_per_step} gives the manager no update in a "

@@ -143,7 +143,7 @@ def check(config: object, prefix: str = "") -> None:
 @functools.cache
 def _annotations(config_type: type) -> tuple[tuple[str, Any], ...]:
     """Lists the names of fields and their annotations, with all that `Annotated` adds."""
-    hints = typing.get_type_hints(config_type, include_extras=True)
+    hints = typing.get_type_hints(config_type, include_extras=True)  # inherited ones, too
     return tuple((field.name, hints[field.name]) for field in dataclasses.fields(config_type))
 
 

@@ -158,6 +158,7 @@ class LowConfig:
     def __post_init__(self) -> None:
         """Checks how the options fit together."""
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
+        # Training is compiled in pieces of `log_every` iterations, and stops only between them.
         checks.divides("log_every", self.log_every, "num_iterations", self.num_iterations)
         checks.divides("log_every", self.log_every, "evaluate_every", self.evaluate_every)
         checks.divides(

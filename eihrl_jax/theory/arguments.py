@@ -54,6 +54,7 @@ def checked(function: Callable[Inputs, ResultT]) -> Callable[Inputs, ResultT]:
 
     @functools.wraps(function)
     def call(*args: Inputs.args, **kwargs: Inputs.kwargs) -> ResultT:
+        # Defaults are left out: they are inside their limits.
         given = signature.bind(*args, **kwargs)
         for name, value in given.arguments.items():
             hint = signature.parameters[name].annotation
@@ -83,7 +84,7 @@ def real(name: str, value: object, inside: Range) -> Float[np.ndarray, "..."]:
     numbers = np.asarray(value)
     if numbers.dtype.kind not in "fiub":
         raise TypeError(f"{name} = {value!r} must be a real number or an array of them")
-    numbers = numbers.astype(np.float64)
+    numbers = numbers.astype(np.float64)  # from here on in full precision, whatever was given
     _check(name, numbers, inside)
     return numbers
 
@@ -114,7 +115,7 @@ def scalar_count(name: str, value: Any, inside: Range) -> int:
         number = operator.index(value)
     except TypeError:
         raise TypeError(f"{name} = {value!r} must be an integer") from None
-    if isinstance(value, bool):
+    if isinstance(value, bool):  # to `operator.index` True is 1
         raise TypeError(f"{name} = {value!r} must be an integer")
     inside.check(name, number)
     return number
@@ -164,6 +165,7 @@ def probabilities(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
     if not (error <= 1e-6).all():
         worst = sums.flat[error.argmax()]
         raise ValueError(f"{name}: a row sums to {worst}, and must sum to 1 within 1e-6")
+    # Exactly 1, so that values are those of a proper policy and not of one that leaks.
     return array / sums
 
 

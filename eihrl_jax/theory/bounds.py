@@ -66,6 +66,7 @@ def value_gap_bound(
     """
     span = segments.value_span(k, gamma, reward_span, value_span, segment_reward)
     lost = segments.lost(k, gamma)
+    # Theorem 1: of the later segments only those part whose paths were the same so far.
     kept = (1.0 - lost) * total_variation if form == "sharp" else 0.0
     return span * total_variation / (lost + kept)
 
@@ -103,6 +104,7 @@ def endpoint_value_gap_bound(
     """
     span = segments.value_span(k, gamma, reward_span, value_span, segment_reward)
     lost = segments.lost(k, gamma)
+    # Theorem 1, endpoint form: gamma^k eta.
     kept = (1.0 - lost) * total_variation
     return (reward_gap + kept * span) / (lost + kept)
 
@@ -140,6 +142,7 @@ def optimal_value_gap_bound(
     Source: replaces the paper's Theorem A.4; Theorem 2 of docs/theory.md.
     """
     span = segments.value_span(k, gamma, reward_span, value_span, segment_reward)
+    # Theorem 2: first to the best subgoal as it is meant, then to how it is carried out.
     total = sum(value_gap_bound(d, k, gamma, value_span=span) for d in (imitation, perturbation))
     return np.minimum(total, span)
 
@@ -170,6 +173,7 @@ def wasserstein_value_gap_bound(
 
     Source: replaces the paper's Theorem A.4; Theorem 3 of docs/theory.md.
     """
+    # Theorem 3, by duality: a Lipschitz value changes by no more than the distance of the ends.
     lost = segments.lost(k, gamma)
     return (reward_gap + (1.0 - lost) * value_lipschitz * wasserstein) / lost
 
@@ -285,6 +289,7 @@ def max_norm_to_total_variation(mismatch: Shares, outcomes: Counts) -> Floats:
     Raises:
       ValueError, TypeError: an argument is out of its range, or outcomes no integer.
     """
+    # Half of the outcomes may gain what the other half loses.
     return np.minimum(1.0, mismatch * (outcomes // 2))
 
 
@@ -293,4 +298,5 @@ def _published(nu: Floats, k: Integers, gamma: Floats, r_max: Floats, variant: V
     lost = segments.lost(k, gamma)
     if variant == "derived":
         return nu * k * r_max / (2.0 * lost**2)
+    # Paper: eq. 9, whose second term lacks the factor k of its derivation.
     return nu * r_max / (2.0 * lost) * (k + (1.0 - lost) / lost)

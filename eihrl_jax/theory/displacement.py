@@ -51,7 +51,7 @@ class Displacement:
           ValueError: an argument is out of its range.
         """
         lateral_std = along_std if lateral_std is None else lateral_std
-        both = correlation * along_std * lateral_std
+        both = correlation * along_std * lateral_std  # the covariance of the two axes
         return cls(
             mean=np.array([along_mean, lateral_mean]),
             covariance=np.array([[along_std**2, both], [both, lateral_std**2]]),
@@ -93,6 +93,7 @@ def wasserstein_bound(first: Displacement, second: Displacement) -> float:
     Source: Gelbrich, On a formula for the L2 Wasserstein metric between measures on Euclidean and
       Hilbert spaces, Mathematische Nachrichten 147 (1990).
     """
+    # Gelbrich's formula; exact for Gaussians, and W1 is at most W2.
     root = _square_root(first.covariance)
     cross = _square_root(root @ second.covariance @ root)
     spread = np.trace(first.covariance + second.covariance - 2.0 * cross)
@@ -114,6 +115,7 @@ def success_gap_bound(total_variation: Shares, num_decisions: Counts) -> Floats:
     Raises:
       ValueError, TypeError: an argument is out of its range, or num_decisions no integer.
     """
+    # In logarithms, which neither overflow nor cancel where delta is small and T large.
     is_certain = np.asarray(total_variation) == 1.0
     log_stay = np.log1p(-np.where(is_certain, 0.0, total_variation))
     return np.where(is_certain, 1.0, -np.expm1(num_decisions * log_stay))
@@ -127,5 +129,5 @@ def _density(points: Float[np.ndarray, "N M 2"], law: Displacement) -> Float[np.
 
 def _square_root(matrix: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "2 2"]:
     """Returns the symmetric square root of a positive semi-definite matrix."""
-    values, vectors = np.linalg.eigh(matrix)
+    values, vectors = np.linalg.eigh(matrix)  # rounding may leave a value just below 0
     return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T

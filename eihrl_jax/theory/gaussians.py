@@ -24,6 +24,7 @@ def total_variation(mean_shift: NonNegatives, std: Positives) -> Floats:
     Raises:
       ValueError: an argument is out of its range.
     """
+    # The densities cross halfway between the means: P(|N(0, 1)| < shift / (2 std)).
     return special.erf(mean_shift / std / 8.0**0.5)
 
 
@@ -44,6 +45,7 @@ def scale_total_variation(std_a: Positives, std_b: Positives) -> Floats:
     small, large = np.minimum(std_a, std_b), np.maximum(std_a, std_b)
     ratio = small / large
     apart = (large - small) / large * (1.0 + ratio)  # 1 - a without cancellation
+    # log(a), again without cancellation where a is near 1.
     near = np.where(apart < 0.5, apart, 0.5)
     log_a = np.where(apart < 0.5, np.log1p(-near), 2.0 * np.log(ratio))
     power = np.exp(ratio**2 / np.where(apart > 0.0, apart, 1.0) * log_a)

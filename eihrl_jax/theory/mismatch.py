@@ -70,6 +70,7 @@ def agreement(problem: Problem, k: Count) -> Float[np.ndarray, "... G S"]:
     p = problem.checked()
     common = np.minimum(p.flat[..., None, :, :], p.low)
     kernel = np.einsum("...gsa,...sat->...gst", common, p.transition)
+    # Mass is lost wherever the two policies differ, in every step anew.
     mass = np.ones(kernel.shape[:-1])
     for _ in range(k):
         mass = (kernel @ mass[..., None])[..., 0]
@@ -155,6 +156,7 @@ def check_bounds(problem: Problem, k: Count, gamma: Discount) -> BoundCheck:
     gap = np.abs(values[0] - values[1]).max(-1)
     nu = mismatch(problem, k, gamma)
     limits = _corrected(problem.checked(), k, gamma, nu)
+    # Eq. 9 and 24 take nu in whatever norm; an L1 norm is twice a total variation.
     readings = {
         "literal": nu.literal,
         "endpoint max": nu.endpoint_max,
@@ -168,6 +170,7 @@ def check_bounds(problem: Problem, k: Count, gamma: Discount) -> BoundCheck:
                 np.minimum(rate, 2.0), k, gamma, r_max=reward.max((-2, -1)), variant=variant
             )
 
+    # Up to rounding, which a bound that is attained needs.
     holds = {name: gap <= limit * (1.0 + 1e-9) + 1e-10 for name, limit in limits.items()}
     return BoundCheck(gap=gap, bounds=limits, holds=holds)
 

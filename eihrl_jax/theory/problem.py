@@ -30,6 +30,7 @@ class Problem(struct.PyTreeNode):
         Raises:
           ValueError: an array has a wrong shape, or rows that don't sum to 1.
         """
+        # The transition says how many states and actions all the others must have.
         transition = arguments.transition(self.transition)
         sizes = transition.shape[-3:-1]
         low = arguments.probabilities("low", self.low, (None, *sizes))

@@ -12,6 +12,7 @@ SegmentReward = Literal["discounted", "undiscounted"]
 
 def lost(k: Integers, gamma: Floats) -> Floats:
     """Returns 1 - gamma^k to full precision, also where gamma comes near 1."""
+    # 1 - gamma^k cancels near 1, and log(gamma) doesn't exist at 0: each form where it is exact.
     is_near_one = np.asarray(gamma) > 0.5
     inside = np.where(is_near_one, gamma, 1.0)
     return np.where(is_near_one, -np.expm1(k * np.log(inside)), 1.0 - gamma**k)

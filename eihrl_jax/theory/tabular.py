@@ -49,6 +49,7 @@ def option_models(
       segment_reward: whether rewards are discounted inside the k steps.
     """
     p = problem.checked()
+    # With an axis for the subgoals, each of which is a policy of its own.
     transition, reward = p.transition[..., None, :, :, :], p.reward[..., None, :, :]
     return _model(transition, reward, p.low, k, gamma, segment_reward)
 
@@ -90,6 +91,7 @@ def hierarchical_value(
 def optimal_value(problem: Problem, gamma: Discount) -> tuple[Vector, Float[np.ndarray, "... S A"]]:
     """Computes the best values of all policies, and a deterministic policy that attains them."""
     p = problem.checked()
+    # A choice is an action here, and a subgoal in `optimal_hierarchical_value`.
     return _improve(np.swapaxes(p.transition, -3, -2), np.swapaxes(p.reward, -2, -1), gamma)
 
 
@@ -153,6 +155,7 @@ def _improve(
 ) -> tuple[Vector, Float[np.ndarray, "... S C"]]:
     """Returns what policy iteration over C choices ends with, in all MDPs at once."""
     num_choices = rewards.shape[-2]
+    # All MDPs go on until the last of them has settled.
     best = np.zeros(rewards.shape[:-2] + rewards.shape[-1:], np.int64)
     while True:
         chosen = np.eye(num_choices)[best]
