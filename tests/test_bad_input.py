@@ -75,6 +75,7 @@ MISTAKES = [
     # Earlier spellings.
     ("compare_peers --methods dqn", ["methods = 'dqn'", "rand_h", "hess"]),
     ("report --parts peers --peers {tmp}/old", ["baselines = {tmp}/old"]),
+    ("value_gap --walking-episodes 1", ["full_episodes = 1", "at least 2"]),
     ("reproduce_higl --method hess", ["--method", "hess"]),
     ("reproduce_higl --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
 ]
