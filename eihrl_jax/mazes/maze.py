@@ -33,7 +33,7 @@ class Maze(struct.PyTreeNode):
     >>> from eihrl_jax import mazes
     >>> maze = mazes.load("u")
     >>> maze.wall.shape, int(maze.num_goals)
-    ((7, 7), 1)
+    ((9, 9), 1)
     """
 
     wall: Bool[Array, "R C"]
