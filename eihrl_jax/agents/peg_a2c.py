@@ -264,7 +264,7 @@ class PegA2C:
                 is_counted=is_running,
                 metrics=following.metrics,
             )
-            is_running &= has_window | ~(following.terminated | following.truncated)
+            is_running &= has_window | ~following.is_over
             if looks_beyond:
                 cut_obs = tree.where(following.truncated, following.final_obs, cut_obs)
             else:  # Nobody looks at it, so that XLA need not draw it.

@@ -144,7 +144,7 @@ class FlatDroq:
             return learner, nothing
 
         learner, learned = jax.lax.cond(is_warm, learn, rest, state.learner)
-        is_end = envs.terminated | envs.truncated
+        is_end = envs.is_over
         state = FlatState(
             learner=learner,
             memory=memory,

@@ -93,7 +93,7 @@ def walk(
             subgoal=subgoal,
             action=action,
             reward=stepped.reward,
-            is_running=~(envs.terminated | envs.truncated),
+            is_running=~envs.is_over,
             terminated=stepped.terminated,
             truncated=stepped.truncated,
             next_obs=stepped.final_obs,

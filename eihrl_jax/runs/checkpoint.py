@@ -26,8 +26,8 @@ from eihrl_jax import base
 KEEP = 2
 """Checkpoints kept in a run folder."""
 
-_HIDDEN = ".incomplete-"
-_FORMAT = 1
+_HIDDEN = ".incomplete-"  # begins no step, so `_steps` never sees it
+_FORMAT = 1  # of the manifest; counts up when an older reader would misread it
 _MANIFEST = "manifest.json"
 
 TreeT = TypeVar("TreeT")
@@ -88,6 +88,7 @@ def restore(folder: pathlib.Path, template: TreeT) -> tuple[int, TreeT] | None:
     try:
         return steps[-1], read(folder / f"{steps[-1]:012d}", template)
     except StructureError as error:
+        # An older checkpoint of the run would have the same structure: nothing to go back to.
         origin = "it comes from other options or from another version of eihrl_jax"
         raise base.UserError(f"{error}; {origin}") from None
     except base.UserError as error:
@@ -120,6 +121,7 @@ def write(
     """
     hidden = path.parent / f"{_HIDDEN}{path.name}"
     if jax.process_index() == 0:
+        # Only what this module wrote is ever removed, never a folder of the user's.
         if overwrite and is_complete(path):
             _remove(path)
         if path.exists():
@@ -159,12 +161,14 @@ def read(path: pathlib.Path, template: PyTree = None) -> PyTree:
       StructureError: it holds other arrays than the template.
       UserError: it is damaged.
     """
+    # Before Orbax looks at it, so that the message names the file that is damaged.
     manifest = _manifest(path)
     _check_files(path, manifest["files"])
     if template is None:
         template = _nested(manifest["arrays"], path)
     _check_kinds(path, manifest["arrays"], describe(template))
 
+    # Without arguments Orbax would ask for the devices that the arrays were saved from.
     template = jax.tree.map(_placed, template)
     restore_args = ocp.checkpoint_utils.construct_restore_args(template)
     arguments = ocp.args.PyTreeRestore(item=template, restore_args=restore_args)
@@ -201,6 +205,7 @@ def describe(tree: PyTree) -> dict[str, str]:
 
 
 def _kind(leaf: jax.typing.ArrayLike | jax.ShapeDtypeStruct) -> str:
+    # Typed keys too: `np.asarray` would refuse them.
     is_array = isinstance(leaf, jax.Array | jax.ShapeDtypeStruct | np.ndarray)
     array = leaf if is_array else np.asarray(leaf)
     return f"{array.dtype}[{','.join(map(str, array.shape))}]"
@@ -245,6 +250,7 @@ def _manifest(path: pathlib.Path) -> dict[str, Any]:  # JSON
     try:
         manifest = json.loads((path / _MANIFEST).read_text())
         version = manifest["format"]
+        # A manifest that was cut or edited may still be JSON.
         texts = [*manifest["files"].items(), *manifest["arrays"].items()]
         is_sound = all(isinstance(text, str) for pair in texts for text in pair)
     except (ValueError, KeyError, TypeError, AttributeError):
@@ -259,6 +265,8 @@ def _manifest(path: pathlib.Path) -> dict[str, Any]:  # JSON
 def _check_files(path: pathlib.Path, files: dict[str, str]) -> None:
     for name, expected in files.items():
         _check_file(path, name, expected)
+
+    # A foreign file among the arrays could be read by Orbax as one of them.
     present = {file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file()}
     extra = sorted(present - set(files) - {_MANIFEST})
     if extra:
@@ -290,6 +298,7 @@ def check_same(path: pathlib.Path, tree: PyTree, expected: PyTree) -> None:
 
 
 def _check_kinds(path: pathlib.Path, kinds: dict[str, str], expected: dict[str, str]) -> None:
+    # In this order, what is missing is named before what is too much.
     for name in [*expected, *kinds]:
         kind, wanted = kinds.get(name, "nothing"), expected.get(name, "nothing")
         if kind != wanted:
@@ -316,6 +325,7 @@ def _nested(arrays: dict[str, str], path: pathlib.Path) -> PyTree:
 
         dtype, _, shape = kind.removesuffix("]").partition("[")
         sizes = tuple(int(size) for size in shape.split(",") if size)
+        # Typed random keys have no NumPy type; only states of learners hold some.
         try:
             node[last] = jax.ShapeDtypeStruct(sizes, np.dtype(dtype))
         except TypeError:

@@ -11,7 +11,7 @@ from eihrl_jax import base
 LOCK = ".lock"
 """Name of the file by which a process keeps others out of its folder."""
 
-_TEMPORARY = ".incomplete-"
+_TEMPORARY = ".incomplete-"  # the same start as that of a checkpoint under way
 
 
 @contextlib.contextmanager
@@ -30,6 +30,7 @@ def reserved(out: pathlib.Path) -> Iterator[None]:
         _check_empty(out)  # another may have filled it since
         yield
     finally:
+        # Unlinked while it is still locked, or another's new lock could be the one removed.
         (out / LOCK).unlink()
         os.close(lock)
         if not any(out.iterdir()):
@@ -69,6 +70,7 @@ def holds_something(path: pathlib.Path) -> bool:
 
 def take_lock(path: pathlib.Path) -> int:
     """Locks the folder for as long as this process lives; a kill gives the lock back."""
+    # On the open file, not by its existence: the system releases it when the process dies.
     descriptor = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -80,6 +82,7 @@ def take_lock(path: pathlib.Path) -> int:
 
 def write_whole(file: pathlib.Path, text: str) -> None:
     """Writes a file such that a kill leaves the old one or the new one."""
+    # In the same folder: only within one file system is a replacement atomic.
     temporary = file.with_name(f"{_TEMPORARY}{file.name}")
     temporary.write_text(text)
     temporary.replace(file)

@@ -36,7 +36,7 @@ class MetricsLog:
           UserError: the table is damaged.
         """
         self._columns = _drop_rows_after(self._folder / FILE, step)
-        self._first_step = step + 1
+        self._first_step = step + 1  # TensorBoard drops what older files have from here on
 
     def log(self, step: int, metrics: Mapping[str, SupportsFloat]) -> None:
         """Appends one row, which is on disk when this returns.
@@ -47,6 +47,7 @@ class MetricsLog:
         """
         values = {name: float(value) for name, value in metrics.items()}
 
+        # A metric that is first measured later, such as an evaluation's, widens the table.
         new = [name for name in values if name not in self._columns]
         if new:
             self._columns += new
@@ -62,7 +63,7 @@ class MetricsLog:
         if self._events is None:
             self._events = _open_events(self._folder / _EVENTS, self._first_step)
         for name, value in values.items():
-            if math.isfinite(value):
+            if math.isfinite(value):  # TensorBoard draws no curve through a nan
                 self._events.add_scalar(name, value, step)
 
     def close(self) -> None:
@@ -82,6 +83,7 @@ def _drop_rows_after(file: pathlib.Path, step: int) -> list[str]:
     """Drops rows later than `step` and a last one cut short; returns the columns after `step`."""
     if not file.is_file():
         return []
+    # A kill can only have cut the last line, as rows are appended one by one.
     complete = [line for line in file.read_text().splitlines(keepends=True) if line.endswith("\n")]
     header, *rows = csv.reader(complete) if complete else [[]]
     try:

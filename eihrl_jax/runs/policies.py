@@ -53,6 +53,7 @@ def save(
     """
     if kind == "low" and "robot" not in meta:
         raise ValueError("a low-level policy needs its robot's name in meta")
+    # `default=str`: configs hold paths.
     text = json.dumps({"kind": kind, **meta}, indent=2, default=str) + "\n"
     checkpoint.write(path, {"params": params}, files={"meta.json": text}, overwrite=overwrite)
 
@@ -107,6 +108,7 @@ def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
     if folder is not None:
         return folder
 
+    # A run folder without policy gets its own message: the name itself was right.
     path = pathlib.Path(name)
     if (path / "config.json").is_file():
         raise base.UserError(f"{path} holds no final policy yet: its training isn't finished")
@@ -133,6 +135,7 @@ def _read_meta(path: pathlib.Path) -> Meta:
 def _first(name: str | pathlib.Path, kinds: Iterable[Kind]) -> pathlib.Path | None:
     """Returns the first complete policy's folder among the places that `name` may mean."""
     path = pathlib.Path(name)
+    # A path comes first, so that a folder of one's own can have a shipped name.
     places = (path, path / FOLDER, *(PRETRAINED / name / kind for kind in kinds))
     return next((place for place in places if checkpoint.is_complete(place)), None)
 

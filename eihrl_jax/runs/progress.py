@@ -12,7 +12,7 @@ import rich.progress
 PLAIN_INTERVAL = 5.0
 """Seconds between two lines where the output is no terminal."""
 
-_SMOOTHING_SECONDS = 20.0
+_SMOOTHING_SECONDS = 20.0  # long enough for a checkpoint or an evaluation not to show
 
 
 class Progress:
@@ -46,6 +46,8 @@ class Progress:
         self._begin = time.monotonic()
         self._history = [(self._begin, done)]
         self._last_line, self._shown = time.monotonic(), -1
+
+        # Elsewhere control codes would fill a log: there lines are printed instead.
         self._bar: rich.progress.Progress | None = None
         if self._console.is_terminal:
             columns = ("{task.description}", rich.progress.BarColumn(), "{task.fields[text]}")
@@ -62,7 +64,7 @@ class Progress:
         """Leaves the last state visible."""
         if self._bar is not None:
             self._bar.stop()
-        elif self._shown != self._done:
+        elif self._shown != self._done:  # else the last line already says it
             self._print_line()
 
     @contextlib.contextmanager
@@ -89,11 +91,13 @@ class Progress:
         """
         self._done = done
         self._metrics.update({name: float(value) for name, value in (metrics or {}).items()})
+
         now = time.monotonic()
         # The speed is that of the last seconds: evaluations and checkpoints come in bursts.
         self._history.append((now, done))
         while len(self._history) > 2 and self._history[1][0] < now - _SMOOTHING_SECONDS:
             self._history.pop(0)
+
         if self._bar is not None:
             self._bar.update(self._task, completed=done, text=self._text())
         elif now - self._last_line >= PLAIN_INTERVAL:

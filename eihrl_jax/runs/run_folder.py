@@ -74,7 +74,7 @@ class RunFolder:
         if is_taken and not (path / _CONFIG).is_file():
             raise base.UserError(f"{path} holds no run to resume: it has no {_CONFIG}")
         text = codec.to_json(options)
-        if is_taken:
+        if is_taken:  # before the lock: a refused start leaves no trace
             _check_same_options(path / _CONFIG, options, {"run", "resume", *may_change})
 
         # Nothing is written before all that can be wrong has been looked at.
@@ -138,38 +138,32 @@ def _check_same_options(file: pathlib.Path, options: object, may_change: Collect
         stored = json.loads(text)
     except ValueError:
         raise base.UserError(f"{file} is damaged: no JSON") from None
-    new = json.loads(codec.to_json(options))
-    if isinstance(stored, dict):
-        # What both know comes first: runs of two methods differ in their options, too.
-        _check_unchanged(file, _common(new, stored), _common(stored, new), may_change)
-    old = codec.from_json(type(options), text, source=str(file))
-    _check_unchanged(file, new, json.loads(codec.to_json(old)), may_change)
+
+    # Through the config where it can be read as one: a newer option then has its default, and a
+    # value that was written in another way its present form.
+    misfit, new = None, _flat(json.loads(codec.to_json(options)))
+    try:
+        stored = json.loads(codec.to_json(codec.from_json(type(options), text, source=str(file))))
+    except base.UserError as error:
+        misfit = error
+    old = _flat(stored)
+
+    # Of a run of another kind, an option of both says more than one that is unknown.
+    for name in dict.fromkeys([*new, *old]):
+        is_of_both = name in new and name in old
+        if name not in may_change and new.get(name) != old.get(name) and (is_of_both or not misfit):
+            started = f"{file.parent} was started with {name} = {old.get(name)!r}"
+            raise base.UserError(f"{started} and can't go on with {new.get(name)!r}")
+    if misfit:
+        raise misfit
 
 
-def _common(options: Json, others: Json) -> Json:
-    """Returns those options that are among the others too, nested ones alike."""
-    if not (isinstance(options, dict) and isinstance(others, dict)):
-        return options
-    both = [name for name in options if name in others]
-    return {name: _common(options[name], others[name]) for name in both}
-
-
-def _check_unchanged(file: pathlib.Path, new: Json, old: Json, may_change: Collection[str]) -> None:
-    for name, value, old_value in _differences(new, old, ""):
-        if name not in may_change:
-            started = f"{file.parent} was started with {name} = {old_value!r}"
-            raise base.UserError(f"{started} and can't go on with {value!r}")
-
-
-def _differences(new: Json, old: Json, name: str) -> list[tuple[str, Json, Json]]:
-    """Lists (name, new value, old value) of the options that differ, nested ones as a.b."""
-    if not (isinstance(new, dict) and isinstance(old, dict)):
-        return [] if new == old else [(name, new, old)]
-    keys = dict.fromkeys([*new, *old])
-    parts = [
-        _differences(new.get(key), old.get(key), f"{name}.{key}" if name else key) for key in keys
-    ]
-    return [difference for part in parts for difference in part]
+def _flat(options: Json, name: str = "") -> dict[str, Json]:
+    """Lists options by name, nested ones as a.b."""
+    if not isinstance(options, dict):
+        return {name: options}
+    parts = [_flat(value, f"{name}.{key}" if name else key) for key, value in options.items()]
+    return {key: value for part in parts for key, value in part.items()}
 
 
 def _read_starts(file: pathlib.Path) -> list[Json]:

@@ -54,12 +54,14 @@ def _cpu_model() -> str:
         lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return platform.processor()
+    # Not on every processor: ARM's have no such line.
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return models[0] if models else platform.processor()
 
 
 def _commit(root: pathlib.Path) -> str | None:
     """Returns the commit of the checkout at `root`, `+changes` appended if files were edited."""
+    # An installed package may lie inside another project's checkout, whose commit says nothing.
     if not (root / ".git").exists():
         return None
     try:

@@ -18,7 +18,6 @@ from eihrl_jax.mazes import generators
 from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import policies
-from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import loop
 from eihrl_jax.training import metrics as metrics_lib
 
@@ -61,6 +60,7 @@ class Arena:
                 lambda state, _: self.baseline.advance(state), state, length=num_rounds
             )
 
+        # Donated: a replay is large, and the state before isn't needed any more.
         return jax.jit(advance, static_argnums=1, donate_argnums=0)
 
     @functools.cached_property
@@ -76,16 +76,18 @@ class Arena:
     ) -> dict[str, Float[Array, ""]]:
         env_key, _ = jax.random.split(key)  # Acting draws nothing; splitting keeps the episodes.
         envs = jax.vmap(self.env.reset)(jax.random.split(env_key, num_episodes))
+        # Every episode has a carry of its own; they all start alike.
         carries = jax.tree.map(lambda leaf: jnp.stack([leaf] * num_episodes), self.baseline.start())
 
         def is_running(pair: tuple[base.EnvState, State]) -> Array:
-            return ~(pair[0].terminated | pair[0].truncated).all()
+            return ~pair[0].is_over.all()
 
         def body(pair: tuple[base.EnvState, State]) -> tuple[base.EnvState, State]:
             envs, carries = pair
             ctrl, carries = jax.vmap(self.baseline.act, (None, 0, 0))(policy, carries, envs.obs)
             return jax.vmap(self.env.step)(envs, ctrl), carries
 
+        # Until the last one is over: those that ended earlier rest, so their metrics stay.
         envs, _ = jax.lax.while_loop(is_running, body, (envs, carries))
         sums = {f"sum_{name}": value.sum() for name, value in envs.metrics.items()}
         return sums | {"episodes": jnp.float32(num_episodes)}
@@ -101,13 +103,17 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
     engine = engines.make(robot, config.engine)
     maze = mazes.load(config.maze, num_decisions=config.num_decisions)
     env = goal_maze.GoalMaze(engine, maze, reward=config.reward)
+
+    # Evaluated in the maze as it is, whatever helps exploration in training.
     trained_in: base.Environment = env
     if config.goals == "anywhere":
         mazes_in = generators.goals_anywhere(maze)
         trained_in = goal_maze.GoalMaze(engine, mazes_in, reward=config.reward)
     if isinstance(config, config_lib.FlatConfig):
+        # The others begin new episodes themselves, between two subgoals.
         trained_in = wrappers.AutoReset(trained_in)
-    steps = int(env.table.mazes.num_decisions.max())
+
+    steps = int(env.table.mazes.num_decisions.max())  # control steps, as `GoalMaze` counts them
     if isinstance(config, hess_config.HessConfig) and config.period >= steps:
         raise base.UserError(
             f"period = {config.period} must be smaller than the {steps} control steps of an episode"
@@ -140,7 +146,7 @@ def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Job:
+class _Job(loop.Job[State]):
     """A run of a baseline; counts control steps of all environments together, see `loop.Job`."""
 
     arena: Arena
@@ -177,22 +183,18 @@ class _Job:
 
     def compile_evaluation(self, state: State) -> loop.Evaluate[State]:
         """Compiles episodes without exploration."""
-        baseline = self.arena.baseline
+        baseline, per_row = self.arena.baseline, self.plan.log_every
         shapes = jax.eval_shape(lambda: (baseline.policy(state), jax.random.key(0)))
         measure = self.arena.evaluate.lower(*shapes, self.config.num_eval_episodes).compile()
-        per_row = self.plan.log_every
 
         def evaluate(state: State, done: int) -> dict[str, float]:
+            # By row, not by a counter: a run that goes on draws the same episodes.
             key = jax.random.fold_in(self._keys[1], done // per_row)
             means = metrics_lib.summarise(measure(baseline.policy(state), key))
             means["reward"] = means["return"] / means["steps"]
             return {f"eval/{name}": value for name, value in means.items()}
 
         return evaluate
-
-    def begin(self, state: State, progress: progress_lib.Progress) -> State:
-        """Returns the state as it is: a baseline's random steps are part of its first rounds."""
-        return state
 
     def row(self, state: State, metrics: loop.Metrics) -> dict[str, float]:
         """Returns means over the episodes that ended, and over the rounds."""

@@ -17,7 +17,6 @@ from eihrl_jax.envs import oracle_maze, raster, subgoals, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.networks import actor_critic
 from eihrl_jax.runs import folders, policies
-from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import loop, parallel
 from eihrl_jax.training import metrics as metrics_lib
 
@@ -66,7 +65,7 @@ def train(config: high_config.HighConfig, with_physics: base.Environment | None 
 
 
 @dataclasses.dataclass(frozen=True)
-class _Job:
+class _Job(loop.Job[LearnerState]):
     """A run of the high level; counts updates, see `loop.Job`.
 
     Attributes:
@@ -116,6 +115,7 @@ class _Job:
 
         def evaluate(state: LearnerState, done: int) -> dict[str, float]:
             row = {}
+            # `num_updates` only tells the draws apart; parameters are what is measured.
             for prefix, measure in measures.items():
                 means = summarise(measure(*_local((state.params, state.num_updates))))
                 means["reward"] = means["return"] / means["decisions"]
@@ -129,12 +129,14 @@ class _Job:
     ) -> Callable[..., loop.Metrics]:
         """Compiles sums over episodes, each of up to the limit of decisions of the longest one."""
         config = self.config
+        # Whole episodes, also where training cuts them into windows.
         whole = dataclasses.replace(config.learner, window=None)
         limit = int(self.env.table.mazes.num_decisions.max())
         agent = peg_a2c.PegA2C(env, actor_critic.make(config.network), whole, limit)
         stream = jax.random.fold_in(jax.random.key(config.seed), _EVALUATION_STREAM)
 
         def measure(params, num_updates):
+            # By update, not by a counter: a run that goes on draws the same episodes.
             keys = jax.random.split(
                 jax.random.fold_in(stream, num_updates), config.num_eval_episodes
             )
@@ -142,10 +144,6 @@ class _Job:
             return jax.tree.map(jnp.sum, counts)
 
         return jax.jit(measure).lower(*_local((state.params, state.num_updates))).compile()
-
-    def begin(self, state: LearnerState, progress: progress_lib.Progress) -> LearnerState:
-        """Returns the state as it is: nothing precedes the first update."""
-        return state
 
     def row(self, state: LearnerState, metrics: loop.Metrics) -> dict[str, float]:
         """Returns means over the episodes that ended, and over the updates."""
@@ -206,11 +204,13 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
         # A longer window could be cut by the time limit twice.
         checks.in_range("window", window, 1, int(limits.min()))
         trained_in = wrappers.AutoReset(env, env.observe)
+
     network, learner = actor_critic.make(config.network), config.learner
     if config.task.reward == "dense":
         # What is paid until the limit depends on the time left, which nobody sees: values that end
         # there are noise, and with it the Random Square was learned to 40 % where it is to 97 %.
         learner = dataclasses.replace(learner, looks_beyond_limit=True)
+
     agent = peg_a2c.PegA2C(trained_in, network, learner, window or int(limits.max()))
     most = (2**31 - 1) // decisions_per_update(agent)  # Decisions are counted in 32 bits.
     checks.in_range("num_updates", config.learner.num_updates, 1, most)

@@ -80,8 +80,11 @@ class Job(Protocol[StateT]):
         ...
 
     def begin(self, state: StateT, progress: progress_lib.Progress) -> StateT:
-        """Does what precedes the first step of a new run; a run that goes on has it behind it."""
-        ...
+        """Does what precedes the first step of a new run, if anything does.
+
+        A run that goes on has it behind it.
+        """
+        return state
 
     def row(self, state: StateT, metrics: Metrics) -> dict[str, float]:
         """Makes a row of numbers of what `Advance` returned."""
@@ -131,7 +134,7 @@ def run(job: Job[StateT], config: Options) -> float:
       base.UserError: the run folder is not as it should be.
     """
     plan = job.plan
-    _check_length(plan, config)
+    _check_length(plan, config)  # before the folder's config is written anew
     with run_folder.RunFolder.create(
         config.run, config, resume=config.resume, may_change=plan.may_change
     ) as folder:
@@ -148,6 +151,7 @@ def run(job: Job[StateT], config: Options) -> float:
         ) as progress:
             state = _train(job, state, done, folder, progress)
             seconds = progress.seconds
+        # Also where nothing was left to train: a kill may have come just before the policy.
         _finish(job, state, folder)
     return seconds
 
@@ -161,6 +165,7 @@ def _train(
 ) -> StateT:
     """Trains from the step `done` to the end, and returns the last state."""
     plan = job.plan
+    # Both before the first step, so that an evaluation that can't be compiled costs no training.
     with progress.compiling("training"):
         advance = job.compile_training(state)
     with progress.compiling("evaluation"):
@@ -193,7 +198,7 @@ def _finish(job: Job[StateT], state: StateT, folder: run_folder.RunFolder) -> No
         kind=job.plan.kind,
         params=params,
         meta=meta | {"versions": versions.describe()},
-        overwrite=True,
+        overwrite=True,  # a run that was longer than its first end has one already
     )
 
 

@@ -17,7 +17,7 @@ from eihrl_jax.training.low_trainer import LowState, LowTrainer
 
 
 @dataclasses.dataclass(frozen=True)
-class _Job:
+class _Job(loop.Job[LowState]):
     """A run of the low level; counts iterations, see `loop.Job`.
 
     Attributes:
@@ -46,7 +46,7 @@ class _Job:
                 "eval/lateral_std": "sideways std",
                 "falls": "falls/1000",
             },
-            units_per_step=self.config.num_envs,
+            units_per_step=self.config.num_envs,  # an iteration steps every robot once
         )
 
     @functools.cached_property
@@ -68,6 +68,7 @@ class _Job:
         measure = self.trainer.jit_measure.lower(*shapes).compile()
 
         def evaluate(state: LowState, done: int) -> dict[str, float]:
+            # By iteration, not by a counter: a run that goes on draws the same subgoals.
             key = jax.random.fold_in(self._keys[1], done)
             return _numbers(measure(state.learner.average_params, key), "eval/")
 
@@ -76,6 +77,7 @@ class _Job:
     def begin(self, state: LowState, progress: progress_lib.Progress) -> LowState:
         """Takes over what another run has learned and stored, or stores random steps."""
         if self.start is not None:
+            # Not its robots nor its iterations: those are the new run's own.
             return state.replace(learner=self.start.learner, replay=self.start.replay)
         progress.print(f"{self.plan.title}: filling the replay buffer with random steps ...")
         return self.trainer.jit_warm_up(state)
@@ -146,6 +148,7 @@ def _load_start(trainer: LowTrainer, path: pathlib.Path | None) -> LowState | No
     """
     if path is None:
         return None
+    # Shapes are enough to read by; no robot is reset for it.
     shapes = jax.eval_shape(trainer.init, jax.random.key(0))
     restored = checkpoint.restore(path / run_folder.CHECKPOINTS, shapes)
     if restored is None:

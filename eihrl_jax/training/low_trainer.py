@@ -52,6 +52,7 @@ class LowTrainer:
         engine = engines.make(self.robot, config.engine)
         self._num_actions = engine.model.nu
 
+        # Statistics are always taken on open floor, whatever the robot learned among.
         floor = rooms.open_floor()
         if config.num_rooms:
             floor = rooms.random_rooms(config.num_rooms, config.seed)
@@ -65,6 +66,7 @@ class LowTrainer:
         self._env = wrappers.AutoReset(make_env(floor))
         self._test_env = wrappers.AutoReset(make_env(rooms.open_floor()))
 
+        # Sizes of the networks, without building a single robot.
         obs = jax.eval_shape(self._env.reset, jax.random.key(0)).obs
         self.num_features = jax.eval_shape(self._features, obs).shape[0]
         self._learner = droq.Droq(self.num_features, self._num_actions, config.droq)
@@ -81,6 +83,7 @@ class LowTrainer:
         key, learner_key, env_key = jax.random.split(key, 3)
         envs = jax.vmap(self._env.reset)(jax.random.split(env_key, self.config.num_envs))
         ctrl = jnp.zeros((self.config.num_envs, self._num_actions))
+        # The replay takes its rows' shapes from a step that is never made.
         stored = jax.eval_shape(self._step, envs, ctrl)[1]
         return LowState(
             learner=self._learner.init(learner_key),
@@ -145,6 +148,7 @@ class LowTrainer:
         are spread evenly over environments and time (paper, Sec. 3.2).
         """
         qpos, _ = self._roll(actor_params, key, num_envs=64, num_subgoals=12)
+        # The first subgoal still shows the reset's noise, not the gait.
         qpos = qpos[self.robot.steps_per_subgoal :].reshape(-1, qpos.shape[-1])
         index = jnp.linspace(0, qpos.shape[0] - 1, self.config.num_postures).astype(jnp.int32)
         return qpos[index].at[:, :2].set(0.0)
@@ -202,6 +206,7 @@ class LowTrainer:
         self, replay: replay_lib.Replay, num_batches: int, key: Key[Array, ""]
     ) -> base.Transition:
         """Draws batches with leading axes [num_batches, B], relabelled if the run says so."""
+        # The last two are split off even where nothing is relabelled, so rows stay the same.
         row_key, direction_key, share_key = jax.random.split(key, 3)
         shape = (num_batches, self.config.droq.batch_size)
         rows = replay_lib.sample(replay, shape, row_key)

@@ -18,6 +18,7 @@ def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
       Means over the episodes that ended, NaN where none did, their names without `sum_`; and means
       over the updates that have a number.
     """
+    # Sums over sums, so that every episode weighs the same, whichever update it ended in.
     episodes = float(np.sum(metrics["episodes"]))
     means = {}
     for name, values in sorted(metrics.items(), reverse=True):  # sums of episodes first
@@ -25,6 +26,7 @@ def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
             total = float(np.sum(values))
             means[name.removeprefix("sum_")] = total / episodes if episodes else math.nan
         elif name != "episodes":
+            # Rounds without an update report nan: nothing was learned there.
             known = np.asarray(values)[np.isfinite(values)]
             means[name] = float(known.mean()) if known.size else math.nan
     return means

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from eihrl_jax import base
 from eihrl_jax.agents import peg_a2c
 
+# `Any`: a spec stands where the state's annotations have an array.
 _ALIKE = cast(Any, PartitionSpec())
 _PER_WORKER = cast(Any, PartitionSpec(peg_a2c.AXIS))
 SPECS = peg_a2c.LearnerState(
@@ -88,6 +89,8 @@ def make_mesh(num_devices: int | None, num_workers: int) -> jax.sharding.Mesh:
             f"num_workers = {num_workers} must be a multiple of the {num_devices * processes} "
             "devices that share them"
         )
+
+    # Process by process, so that a process's workers lie next to each other.
     devices = [
         device
         for process in range(processes)
@@ -98,6 +101,7 @@ def make_mesh(num_devices: int | None, num_workers: int) -> jax.sharding.Mesh:
 
 def init(agent: peg_a2c.PegA2C, seed: int, mesh: jax.sharding.Mesh) -> peg_a2c.LearnerState:
     """Makes the first state of a learner, every worker on its device."""
+    # Made where they belong, instead of on one device and then spread.
     return jax.jit(lambda: agent.init(jax.random.key(seed)), out_shardings=_shardings(mesh))()
 
 

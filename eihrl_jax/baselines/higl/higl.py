@@ -186,7 +186,7 @@ class Higl:
             return controller.explore(controller.act(policy["controller"], features), key)
 
         def body(envs: base.EnvState, key: Key[Array, ""]) -> tuple[base.EnvState, periods.Period]:
-            envs = periods.renew(self._env, envs, envs.terminated | envs.truncated)
+            envs = periods.renew(self._env, envs, envs.is_over)
             return periods.walk(
                 self._env,
                 envs,
