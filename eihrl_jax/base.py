@@ -87,6 +87,7 @@ class Outcome(struct.PyTreeNode):
 
     def terminated_if(self, is_ended: Bool[Array, ""]) -> "Outcome":
         """Returns the outcome, but of an episode that has ended for good where `is_ended`."""
+        # What has ended for good isn't cut as well: nothing may be bootstrapped from it.
         return self.replace(
             terminated=self.terminated | is_ended, truncated=self.truncated & ~is_ended
         )
@@ -185,7 +186,7 @@ class GoalObs(struct.PyTreeNode):
     xy: Float[Array, "2"]
     proprioception: Float[Array, " P"]
     goal_xy: Float[Array, "2"]
-    time: Float[Array, ""]
+    time: Float[Array, ""]  # scaled, as networks take it as it is
 
 
 class Transition(struct.PyTreeNode, Generic[ObsT]):

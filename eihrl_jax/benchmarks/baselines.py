@@ -35,6 +35,7 @@ def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> part.F
       `rate`, control steps per second, and `ratio`, how many times the published ones they are.
     """
     preset = presets.higl()
+    # Landmarks from the first step, as nearly all of a run of a million has them.
     config = dataclasses.replace(
         preset,
         maze=maze,
@@ -42,6 +43,7 @@ def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> part.F
         # No fit falls due while rounds are measured.
         adjacency=dataclasses.replace(preset.adjacency, period=2**31 - 1),
     )
+
     arena = baselines.make_arena(config)
     higl = arena.baseline
 
@@ -50,6 +52,7 @@ def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> part.F
 
     state = jax.jit(higl.init)(jax.random.key(0))
     seconds = _median_seconds(advance, state, repeats) / (rounds * higl.steps_per_round)
+    # Fits are due once in `period` steps; each step bears its share.
     seconds += _fit_seconds(arena.side_xy, preset.adjacency) / preset.adjacency.period
     return {"rate": 1.0 / seconds, "ratio": 1.0 / seconds / PUBLISHED}
 
@@ -74,4 +77,4 @@ def _median_seconds(function: Callable[[StateT], StateT], state: StateT, repeats
     """Returns what a call takes, past compilation, each going on from the last."""
     compiled = jax.jit(function).lower(state).compile()
     seconds = [seconds for _, seconds in timing.successive(compiled, state, repeats + 1)]
-    return statistics.median(seconds[1:])
+    return statistics.median(seconds[1:])  # the first call warms up

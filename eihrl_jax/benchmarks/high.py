@@ -24,9 +24,11 @@ def decisions_per_second(num_updates: int = 50, repeats: int = 5) -> dict[str, p
       Rates of preset `best`, and of the same learner with the paper's view of 9 units.
     """
     best = presets.high_best()
+    # All but task and network as in `best`, so that the views alone differ.
     patch = dataclasses.replace(best, task=high_config.Task(), network=high_config.Network())
     return {
         "planning on a map": _rates(best, num_updates, repeats),
+        # Ten times as many, as each takes far less.
         "9-unit view": _rates(patch, 10 * num_updates, repeats),
     }
 
@@ -50,6 +52,7 @@ def full_episodes(high_level: str = "best-random-0") -> part.Figures:
     Returns:
       `seconds`, past compilation, and `success`, the share of goals reached.
     """
+    # Without pictures, which would take part of the time.
     with tempfile.TemporaryDirectory() as folder:
         evaluation = evaluations.evaluate(
             evaluate_config.EvaluateConfig(
@@ -78,9 +81,11 @@ def _rates(config: high_config.HighConfig, num_updates: int, repeats: int) -> pa
     first = parallel.init(agent, config.seed, mesh)
     update = parallel.repeated_update(agent, num_updates, mesh).lower(first).compile()
 
+    # From the state's own count: an update over whole episodes has as many as they took.
     rates, before = [], 0
     for state, seconds in timing.successive(lambda state: update(state)[0], first, repeats + 1):
         num_decisions = int(state.num_decisions)
         rates.append((num_decisions - before) / seconds)
         before = num_decisions
+    # The first call warms up.
     return {"median": statistics.median(rates[1:]), "fastest": max(rates[1:])}

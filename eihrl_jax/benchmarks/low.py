@@ -20,7 +20,7 @@ from eihrl_jax.training import low_trainer
 NUM_FEATURES, NUM_ACTIONS, CAPACITY, BATCH = 35, 8, 100_000, 256
 """An ant of preset `paper` with a replay that doesn't fit into caches."""
 
-_SIZE = 2048
+_SIZE = 2048  # large enough for the product to be bound by arithmetic, not by memory
 """Rows and columns of the matrices whose product shows what the machine can do."""
 
 _PER_CALL = 20
@@ -51,6 +51,7 @@ def updates_per_second(num_updates: int = 400, repeats: int = 5) -> part.Figures
     )
 
     ours, sbx = num_updates / times["ours"], num_updates / times["sbx"]
+    # A product of n x n matrices takes n^3 multiplications and as many additions.
     flops = 2.0 * _SIZE**3 / times["matmul"]
     limit = flops / flops_per_update()
     return {
@@ -80,6 +81,7 @@ def flops_per_update(actor_period: int = _PER_CALL) -> float:
     to its input alone once.
     """
     critic = _flops(NUM_FEATURES + NUM_ACTIONS, 256, 256, 1)
+    # The actor puts out mean and standard deviation of every control.
     actor = _flops(NUM_FEATURES, 256, 256, 2 * NUM_ACTIONS)
 
     # The target needs the actor and both target critics forward; both critics learn.
@@ -104,6 +106,7 @@ def walking_rate(num_steps: int = 100, repeats: int = 5) -> part.Figures:
     Returns:
       `walking` and `engine`, control steps per second, and `ratio`.
     """
+    # The rooms and the reward of training, whose cost is part of what is measured.
     config = presets.low_best()
     trainer = low_trainer.LowTrainer(config)
     engine = engines.make(trainer.robot, config.engine)
@@ -152,6 +155,7 @@ def _ours(num_updates: int) -> Callable[[], droq.DroqState]:
     learner = droq.Droq(NUM_FEATURES, NUM_ACTIONS, low_config.Droq())
     rows = _transitions(np.random.default_rng(0))
     one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), rows)
+    # Full, as late in a run: batches then come from all over it, and not from caches.
     buffer = replay.add(replay.init(one, CAPACITY), rows)
 
     @jax.jit
@@ -194,10 +198,12 @@ def _sbx(num_updates: int) -> Callable[[], None]:
             "part updates compares with sbx, which isn't installed: pip install sbx-rl"
         ) from None
 
+    # Never stepped: sbx asks an environment for its spaces.
     class Noise(gymnasium.Env):
         observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (NUM_FEATURES,), np.float32)
         action_space = gymnasium.spaces.Box(-1.0, 1.0, (NUM_ACTIONS,), np.float32)
 
+    # DroQ is SAC with dropout and layer norm in its critics; sbx has it under these options.
     model = sbx.SAC(
         "MlpPolicy",
         Noise(),
@@ -215,11 +221,12 @@ def _sbx(num_updates: int) -> Callable[[], None]:
     buffer.next_observations[:] = rng.normal(size=buffer.next_observations.shape)
     buffer.actions[:] = np.tanh(rng.normal(size=buffer.actions.shape))
     buffer.rewards[:] = rng.normal(size=buffer.rewards.shape)
-    buffer.full = True
+    buffer.full = True  # or it would draw from the rows up to its position alone, which is 0
 
     def train() -> None:
         for _ in range(num_updates // _PER_CALL):
             model.train(_PER_CALL, BATCH)
+        # sbx returns before its last update is done.
         jax.block_until_ready(model.policy.qf_state.params)
 
     return train

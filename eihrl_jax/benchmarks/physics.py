@@ -46,11 +46,13 @@ def interface_ratio(num_envs: int = 1024, num_steps: int = 20, repeats: int = 15
     ours = timing.rolled(lambda state, ctrl: step(state, ctrl, parked), start, ctrls)
 
     alone = mujoco_batch.Batch(engine.model, num_envs)
+    # Bindings are views of the batch's own memory: writing to them is all that is needed.
     alone.bind("mocap_pos")[..., :2] = scene.PARKED_XY
     first_qpos, host_ctrls = np.asarray(start.qpos, np.float64), np.asarray(ctrls, np.float64)
 
     def run_alone() -> None:
         alone.bind("qpos")[:] = first_qpos
+        # The solver's first guess too, or repeats would begin with another than the first.
         for name in ("qvel", "qacc_warmstart"):
             alone.bind(name)[:] = 0.0
         for ctrl in host_ctrls:
@@ -80,7 +82,9 @@ def maze_costs(num_steps: int = 10) -> dict[str, part.Figures]:
       For each engine `spiral` and `random`, microseconds per control step of one ant (on a CPU: of
       all its cores' time together), and `ratio`, spiral/random.
     """
+    # Of the process, where cores are shared: other work on the machine doesn't count then.
     clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
+
     costs = {}
     # A step of MJX takes fifty times as long on a processor.
     for name, num_envs, repeats in (("mujoco", 256, 15), ("mjx", 32, 12)):
@@ -166,6 +170,7 @@ def engine_deviations(num_envs: int = 16, num_steps: int = 50) -> list[dict[str,
     start = _standing(c_engine, jnp.zeros((num_envs, 2)))
     noise = 0.05 * jax.random.normal(jax.random.key(2), start.qpos.shape)
     start = start.replace(qpos=start.qpos + noise, qvel=start.qvel.at[:, :2].set(1.0))
+    # One unit in the last place of float32.
     nudged = start.replace(qpos=start.qpos * (1 + 2.0**-23))
     ctrls = _random_ctrls(c_engine, num_steps, num_envs)
 
@@ -175,6 +180,7 @@ def engine_deviations(num_envs: int = 16, num_steps: int = 50) -> list[dict[str,
         boxes = [[2.3, -0.7], [-0.7, 2.3], [2.3, 2.3]] if is_walled else [scene.PARKED_XY] * 3
         boxes = jnp.tile(jnp.array(boxes), (num_envs, 1, 1))
         truth = _free_run(c_step, start, ctrls, boxes)
+        # "One step" begins where the C engine was, so that errors don't add up.
         before = [start, *truth[:-1]]
         runs = {
             "one step": [mjx_step(*x, boxes) for x in zip(before, ctrls, strict=True)],
@@ -216,7 +222,7 @@ def _deviation(
     apart = np.abs(
         [np.asarray(a.qpos) - np.asarray(b.qpos) for a, b in zip(run, truth, strict=True)]
     )
-    greatest = apart.max(-1)
+    greatest = apart.max(-1)  # over positions; [T, N]
     return {
         "median": float(np.median(greatest)),
         "p90": float(np.quantile(greatest, 0.9)),

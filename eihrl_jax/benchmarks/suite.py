@@ -44,6 +44,7 @@ class BenchmarkConfig:
 
 def main(config: BenchmarkConfig) -> None:
     """Measures part by part, and writes what is there after each."""
+    # Never beside figures of another machine or version.
     if config.out.exists():
         raise base.UserError(f"out = {config.out} exists already; name a new folder")
     config.out.mkdir(parents=True)

@@ -24,8 +24,10 @@ def shortest(
       repeats: measurements of each.
       clock: seconds, of the wall or of the process.
     """
+    # The first calls compile.
     jax.block_until_ready([function() for function in functions.values()])
 
+    # In turns, so that a slow spell of the machine meets all of them.
     times = dict.fromkeys(functions, math.inf)
     for _ in range(repeats):
         for name, function in functions.items():
@@ -53,6 +55,7 @@ def rolled(
     step: Callable[[StateT, InputT], StateT], state: StateT, inputs: InputT
 ) -> Callable[[], StateT]:
     """Returns a function that steps a state through inputs [T, ...] in one compiled program."""
+    # Inputs are arguments: as constants of the program XLA could compute with them at compile time.
     roll = jax.jit(
         lambda state, inputs: jax.lax.scan(lambda s, x: (step(s, x), None), state, inputs)[0]
     )

@@ -51,6 +51,7 @@ def move(
     Returns:
       The robot's state, and whether its simulation broke down, which leaves the state as it was.
     """
+    # Only the nearest walls are bodies of the engine, whatever the size of the maze.
     near = walls.nearby(maze, physics.qpos[:2], engine.robot.num_walls)
     return advance(engine, physics, ctrl, near, is_running)
 

@@ -119,6 +119,7 @@ class GoalMaze:
             has_fallen=inner.has_fallen | body_lib.is_fallen(physics.qpos, self.robot),
             is_broken=is_broken,
         )
+        # The learners of `baselines` go on to the end of a subgoal, past that of the episode.
         return wrappers.rest_if_over(state, self._state(inner, outcome, state.key))
 
     def _state(self, inner: GoalMazeState, outcome: base.Outcome, key: Key[Array, ""]) -> EnvState:

@@ -92,7 +92,7 @@ class MazeEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, Info]:
         """Draws a new episode; there are no options."""
-        super().reset(seed=seed, options=options)
+        super().reset(seed=seed, options=options)  # makes `np_random`
         return self._episodes.begin(self.np_random)
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
@@ -230,6 +230,7 @@ def _make(
         raise base.UserError(
             f"reward {reward!r} is unknown; choose one of {', '.join(base.REWARDS)}"
         )
+
     physics = engines.make(robots.load(robot), engine)
     loaded = mazes.load(maze, num_decisions=num_decisions)
     env = goal_maze.GoalMaze(physics, loaded, reward=cast(base.Reward, reward))

@@ -88,5 +88,6 @@ class Hierarchy:
         # All k steps, also where the episode ends early: then the robot rests, at no cost in C.
         keys = jax.random.split(low_key, self.env.robot.steps_per_subgoal)
         body, trace = jax.lax.scan(advance, body, keys)
+        # Paid along the whole way, so that a goal on it counts.
         state = self.env.end(state.replace(key=next_key), body, trace.qpos[:, :2])
         return state, trace

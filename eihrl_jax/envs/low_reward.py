@@ -33,6 +33,7 @@ def step_reward(
     """
 
     def potential(xy: Float[Array, "2"], left: Float[Array, ""]) -> Float[Array, ""]:
+        # In the frame of the subgoal, along is g . d of eq. 1.
         along, lateral = rotations.to_direction_frame(xy, obs.direction)
         # Progress counts in full up to here.
         enough = base.CELL * (1.0 - left) if options.is_paced else base.CELL

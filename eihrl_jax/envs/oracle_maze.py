@@ -123,6 +123,7 @@ class OracleMaze:
             )
 
         self.table = task.prepare(mazes, view.margin)
+        # Starts are drawn around the middle of a cell, whose neighbours may be walls.
         room = base.CELL / 2 - float(self.table.mazes.start_jitter.max())
         if movement.body_radius > room:
             raise base.UserError(
@@ -168,6 +169,7 @@ class OracleMaze:
             num_substeps=num_substeps,
             body_radius=robot.body_radius,
         )
+        # Drawn once: a decision looks one up, and needs no kinematics.
         silhouettes = postures.footprints(robot, gait.bank, view)
         return cls(mazes, silhouettes, view=view, movement=movement, reward=reward)
 

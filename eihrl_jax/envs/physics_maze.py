@@ -123,6 +123,7 @@ class PhysicsMaze:
         self.view = view
         self._reward: base.Reward = reward
         self._engine = engine
+        # The silhouette is made of the posture at every decision: no bank could hold them all.
         self._capsules = kinematics.capsules(engine.model)
 
     @classmethod

@@ -109,6 +109,7 @@ def gait(robot: robot_lib.Robot, measured: pathlib.Path | None, step: float, sig
     """
     if measured is None:
         return Gait(step, sigma, postures.for_robot(robot))
+    # Step, sigma and postures are those of one and the same gait.
     statistics = load(measured)
     bank = postures.load(measured / POSTURES, robot)
     return Gait(statistics.along_mean, statistics.sigma, bank)
@@ -148,5 +149,6 @@ def _moments(
     values: Float[Array, "T N"], weights: Float[Array, "T N"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Returns mean and standard deviation of the values whose weight is 1."""
+    # Weighted, since the shape can't depend on how many subgoals were completed.
     mean = jnp.sum(weights * values) / weights.sum()
     return mean, jnp.sqrt(jnp.sum(weights * jnp.square(values - mean)) / weights.sum())

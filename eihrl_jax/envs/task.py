@@ -237,6 +237,7 @@ def drawn_maze(table: MazeTable, nav: Navigation) -> maze_lib.Maze:
 
 def pick(uniform: Float[Array, ""], num: Int[Array, ""]) -> Int[Array, ""]:
     """Turns a uniform draw from [0, 1) into an index below `num`."""
+    # In float32 the product can round up to `num` itself.
     index = (uniform * num.astype(jnp.float32)).astype(jnp.int32)
     return jnp.minimum(index, num - 1)
 

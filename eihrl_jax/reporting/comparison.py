@@ -54,12 +54,14 @@ def by_movement(
 
 def of_variants(title: str, evaluated: Mapping[str, Sequence[results.Cell]]) -> tables.Table:
     """Compares what trainings with one thing changed reach in Table 1, movement by movement."""
+    # Movement by movement: variants are compared under the same movement.
     rows = [row for movement in MOVEMENTS for row in by_movement(evaluated, (movement,))]
     return success_by_maze(title, rows, tuple(tables.TABLE1_MAZES))
 
 
 def success_by_maze(title: str, rows: Sequence[Row], mazes: Sequence[str]) -> tables.Table:
     """Compares success in several mazes."""
+    # Mazes of Table 1 are called as the paper calls them.
     names = {maze: tables.TABLE1_MAZES.get(maze, maze) for maze in mazes}
     return _success(title, rows, names, lambda cell: cell.maze)
 
@@ -99,6 +101,7 @@ def failures(title: str, rows: Sequence[Row]) -> tables.Table:
     for row in rows:
         for maze in dict.fromkeys(cell.maze for cell in row.cells):
             here = [cell.outcomes for cell in row.cells if cell.maze == maze]
+            # Counts are added up before they are divided: cells may have different episodes.
             counts = [sum(getattr(o, name) for o in here) for name in results.OUTCOMES]
             shares = [f"{100.0 * count / sum(counts):.1f}" for count in counts]
             body.append([row.label, tables.TABLE1_MAZES.get(maze, maze), *shares])
@@ -115,6 +118,7 @@ def mean(cells: Sequence[results.Cell]) -> str:
         by_high.setdefault(cell.agent.high, []).append(cell.success.rate)
     if not by_high:
         return "-"
+    # First over the mazes of each training, then over trainings: the deviation is that of seeds.
     rates = np.array([np.mean(rates) for rates in by_high.values()])
     if len(rates) == 1:
         return f"{100 * rates[0]:.1f}"

@@ -54,6 +54,7 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
     True
     """
     with folders.reserved(options.out):
+        # Agent by agent, so that what is done stays if a later one fails.
         cells: list[results.Cell] = []
         seconds: dict[str, float] = {}
         for evaluated in evaluation_lib.run(options):
@@ -78,6 +79,7 @@ def _write(evaluated: evaluation_lib.Evaluated, options: evaluate_config.Evaluat
     if options.heatmaps:
         _draw_heatmaps(options.out, evaluated)
 
+    # "one": the last agent's first maze, a single picture for the whole evaluation.
     names = list(evaluated.rollouts)
     num = {"all": len(names), "one": int(evaluated.is_last), "none": 0}[options.animate]
     for name in names[:num]:
@@ -110,6 +112,7 @@ def _draw_heatmaps(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> No
     """Draws where one agent has been: one picture per maze, and one of all."""
     agent = evaluated.agent
     who = f"{agent.robot}, {tables.MOVEMENT_NAMES[agent.movement]}"
+    # Drawn twice: each alone, and all of them on one scale.
     visits = {
         name: heatmap.Visits(f"{_label(name)} · {who}", evaluated.mazes[name], rollout.share)
         for name, rollout in evaluated.rollouts.items()
@@ -139,7 +142,9 @@ def _label(maze: str) -> str:
 
 def typical(rollout: rollouts.Rollout) -> recording.Recording:
     """Returns the recorded episode of median length among those that achieved most."""
+    # The first episodes alone are recorded.
     achieved = rollout.episodes.achieved[: len(rollout.recordings)]
     best = np.flatnonzero(achieved == achieved.max())
+    # Ties in the order in which they were run, so that every machine animates the same one.
     lengths = [int(rollout.recordings[i].decision[-1]) for i in best]
     return rollout.recordings[best[np.argsort(lengths, kind="stable")[len(best) // 2]]]

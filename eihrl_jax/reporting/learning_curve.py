@@ -38,7 +38,7 @@ def draw(
         {label: curves.read(metrics, x, column) for label, column in columns.items()},
         x_label=x_label,
         y_label=y_label,
-        y_scale=100.0,
-        y_range=(0.0, 100.0),
+        y_scale=100.0,  # metrics hold shares
+        y_range=(0.0, 100.0),  # all of it, so that curves of different runs can be compared
     )
     return path

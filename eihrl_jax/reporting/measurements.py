@@ -31,14 +31,17 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
 def _write(measured: measure_lib.Measurement, options: measure_config.MeasureConfig) -> None:
     """Writes figures, picture and posture bank."""
     robot = measured.robot
+    # Surroundings at the top level, where `subgoals.load` looks for them.
     document = {name: vars(statistics) for name, statistics in measured.statistics.items()}
     about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
     text = json.dumps(document | about | {"versions": versions.describe()}, indent=2)
     (options.out / subgoals.FILE).write_text(text + "\n")
 
+    # Of open floor: among walls the ends say as much about the rooms.
     ends = measure_lib.end_points(measured.steps)
     title = f"{robot.name}, {subgoals.OPEN}"
     scatter.save(options.out / "subgoals.png", ends, title, options.sigma)
 
+    # Beside the figures, so that the high level can be trained with both, see `subgoals.gait`.
     bank = measured.postures(options.num_postures)
     postures.save(bank, options.out / subgoals.POSTURES, robot)

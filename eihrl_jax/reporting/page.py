@@ -74,6 +74,7 @@ def write(path: pathlib.Path, title: str, lead: str, sections: Sequence[Section]
       sections: what follows.
     """
     body = "\n".join(_section(section) for section in sections)
+    # Everything that comes from outside is escaped: names of runs may hold any character.
     path.write_text(
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -92,6 +93,7 @@ def _section(section: Section) -> str:
     if section.text:
         parts.append(f"<p>{html.escape(section.text)}</p>")
     parts += [_table(table) for table in section.tables]
+    # A grid, so that a phone shows them one below the other.
     if section.pictures:
         figures = "\n".join(_figure(picture) for picture in section.pictures)
         parts.append(f'<div class="pictures">\n{figures}\n</div>')
@@ -102,6 +104,7 @@ def _table(table: tables_lib.Table) -> str:
     head = "".join(f'<th scope="col">{html.escape(name)}</th>' for name in table.header)
     rows = []
     for row in table.rows:
+        # The paper's figures look different from those that were measured here.
         kind = ' class="published"' if row[0].startswith("paper") else ""
         cells = "".join(f"<td>{html.escape(text)}</td>" for text in row)
         rows.append(f"<tr{kind}>{cells}</tr>")
@@ -113,6 +116,7 @@ def _table(table: tables_lib.Table) -> str:
 
 
 def _figure(picture: Picture) -> str:
+    # Inside the page, which then can be sent and kept as one file.
     data = base64.b64encode(picture.path.read_bytes()).decode()
     kind, caption = _TYPES[picture.path.suffix], html.escape(picture.caption, quote=True)
     return (

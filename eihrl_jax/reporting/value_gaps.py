@@ -42,6 +42,7 @@ def _write(options: gap_config.ValueGapConfig, gaps: list[gap_lib.Gap]) -> None:
 
 def _draw(options: gap_config.ValueGapConfig, gaps: list[gap_lib.Gap]) -> None:
     """Draws the success that oracle movement loses, by noise level, beside its bound."""
+    # With physics there is no noise level to draw it at.
     oracle = [gap for gap in gaps if gap.sigma is not None]
     axes = curves.new_axes("standard deviation per axis, units", "lost success, percentage points")
     axes.xaxis.set_major_formatter(matplotlib.ticker.ScalarFormatter())
@@ -58,8 +59,10 @@ def _draw(options: gap_config.ValueGapConfig, gaps: list[gap_lib.Gap]) -> None:
             label=f"measured, {maze}",
         )
 
+    # The loosest bound of the mazes: it grows with the time limit.
     limit = max(int(mazes.load(name).num_decisions) for name in options.mazes)
     sigmas = np.linspace(0.01, max(1.0, 2 * options.reference), 991)
+    # Theory: the chance to part in one decision, then within the limit (docs/theory.md).
     rate = gaussians.scale_total_variation(sigmas, options.reference)
     bound = 100.0 * displacement.success_gap_bound(rate, limit)
     axes.plot(sigmas, bound, color=palette.INK, label=f"bound, {limit} decisions")
@@ -73,9 +76,11 @@ def markdown(gaps: list[gap_lib.Gap]) -> str:
 
     A bound that allows everything is called vacuous.
     """
+    # Two columns `bound`, each of the loss on its left.
     header = ["maze", "movement", "success %", "lost success", "bound", "lost value", "bound"]
     lines = [header, ["---"] * len(header)]
     for gap in gaps:
+        # Physics has no noise level of its own.
         how = "walking" if gap.sigma is None else f"sigma {gap.sigma:g}"
         lines.append(
             [

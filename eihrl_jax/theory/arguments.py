@@ -81,6 +81,7 @@ def real(name: str, value: object, inside: Range) -> Float[np.ndarray, "..."]:
     ...
     eihrl_jax.base.UserError: gamma = 1.5 must be at least 0.0 and smaller than 1.0
     """
+    # Kinds of NumPy: floating, integer, unsigned, boolean; not complex, not text.
     numbers = np.asarray(value)
     if numbers.dtype.kind not in "fiub":
         raise TypeError(f"{name} = {value!r} must be a real number or an array of them")
@@ -140,7 +141,7 @@ def _converted(name: str, value: Any, hint: Any) -> Any:
 
 def _check(name: str, numbers: Float[np.ndarray, "..."], inside: Range) -> None:
     """Checks the extremes, which stand for all: limits are intervals, and a nan is both."""
-    if numbers.size:
+    if numbers.size:  # an empty array has no extremes
         inside.check(name, numbers.min())
         inside.check(name, numbers.max())
 

@@ -80,6 +80,7 @@ def total_variation(first: Displacement, second: Displacement, *, num_points: in
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
     area = np.prod([axis[1] - axis[0] for axis in axes])
 
+    # Total variation is half the L1 distance; a sum over a grid can exceed 1 by rounding.
     apart = np.abs(_density(points, first) - _density(points, second))
     return min(1.0, float(apart.sum() * area / 2.0))
 

@@ -109,10 +109,12 @@ def random_mdps(
     is_deterministic = rng.random((n, 1, 1)) < 0.5
     flat = np.where(is_deterministic, np.eye(a)[flat.argmax(-1)], flat)
 
+    # Bounds say something only where the two come near each other.
     weight = rng.uniform(0.0, 0.3, (n, 1, 1, 1))
     is_close = rng.random((n, 1, 1, 1)) < closeness
     low = np.where(is_close, (1.0 - weight) * flat[:, None] + weight * low, low)
 
+    # Sparse in some: there a wrong path costs most.
     reward = rng.random((n, s, a)) * (rng.random((n, s, a)) < rng.uniform(0.2, 1.0, (n, 1, 1)))
     return Problem(transition=draw(s, a, s), reward=reward, flat=flat, low=low, high=high)
 

@@ -112,6 +112,7 @@ def rayleigh_quantile(level: Discounts, std: NonNegatives, *, segments: Counts =
     Raises:
       ValueError, TypeError: an argument is out of its range, or segments no integer.
     """
+    # Independent segments: each must stay within with the root of the level.
     is_possible = np.asarray(level) > 0.0
     log_each = np.log(np.where(is_possible, level, 0.5)) / segments
 

@@ -30,4 +30,4 @@ def value_span(
         return value_span
     if segment_reward == "undiscounted":
         return k * reward_span / lost(k, gamma)
-    return reward_span / (1.0 - gamma)
+    return reward_span / (1.0 - gamma)  # C / (1 - gamma^k), whatever k

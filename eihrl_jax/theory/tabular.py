@@ -118,6 +118,7 @@ def _model(
 
     # Paper: eq. 3 discounts rewards inside a segment, Sec. 2 doesn't.
     discount = gamma if segment_reward == "discounted" else 1.0
+    # Backwards: the reward of k steps is one step's and that of k - 1 from where it leads.
     power, rewards = kernel, one_reward
     for _ in range(k - 1):
         power = kernel @ power
