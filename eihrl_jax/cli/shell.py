@@ -83,16 +83,16 @@ def _parse(command: command_lib.Command[ConfigT], arguments: list[str], program:
     """Parses the arguments; `--help` shows the defaults of the chosen preset."""
     messages = io.StringIO()
     parsed_type = command.config_type
-    parse = functools.partial(tyro.cli, parsed_type, args=arguments, prog=program)
+    parse = functools.partial(tyro.cli, args=arguments, prog=program)
     if command.presets:
         default = command.presets[_chosen(command.presets, arguments, command.option)]
         parsed_type = type(default)
-        parse = functools.partial(
-            tyro.cli, parsed_type, default=default, args=arguments, prog=program
-        )
+        parse = functools.partial(parse, default=default)
+
+    # The parser's own message is a framed box of many lines; its first paragraph says it all.
     try:
         with contextlib.redirect_stderr(messages):
-            return parse()
+            return parse(parsed_type)
     except SystemExit as end:
         if end.code:
             fail(_one_line(messages.getvalue()).removeprefix(f"{parsed_type.__name__}: "))

@@ -6,6 +6,9 @@ from typing import Annotated
 from eihrl_jax import base
 from eihrl_jax.config import limits
 
+_SIGMAS = (0.0, 0.1, 0.2, 0.28, 0.29, 0.31, 0.32, 0.4, 0.5, 0.6, 0.8, 1.0)
+"""Densest around the reference of 0.3, where the bounds say something."""
+
 
 @limits.dataclass
 class ValueGapConfig:
@@ -31,20 +34,7 @@ class ValueGapConfig:
 
     high: str = "best-random-0"
     mazes: limits.Several[str] = ("random", "g1")
-    sigmas: tuple[Annotated[float, limits.Range(0.0, base.CELL)], ...] = (
-        0.0,
-        0.1,
-        0.2,
-        0.28,
-        0.29,
-        0.31,
-        0.32,
-        0.4,
-        0.5,
-        0.6,
-        0.8,
-        1.0,
-    )
+    sigmas: tuple[Annotated[float, limits.Range(0.0, base.CELL)], ...] = _SIGMAS
     reference: Annotated[float, limits.Range(above=0.0, high=base.CELL)] = base.SIGMA
     robots: tuple[str, ...] = ("point", "ant")
     episodes: Annotated[int, limits.Range(2, 1_000_000)] = 2_000

@@ -21,9 +21,9 @@ DIRECTION_NAMES = ("east", "west", "north", "south")
 """How the picture calls the subgoals x+, x-, y+, y-."""
 
 FRAME_MILLISECONDS = 50
-_LAST_FRAME_MILLISECONDS = 1800
-_MAX_FRAMES = 240
-MAZE_SIZE = (560, 512)
+_LAST_FRAME_MILLISECONDS = 1800  # so that the end is seen before the loop begins anew
+_MAX_FRAMES = 240  # 12 s; longer ones make files that pages load slowly
+MAZE_SIZE = (560, 512)  # pixels
 _PANEL_WIDTH = 208
 _MARGIN = 16
 _ARROW = (
@@ -79,9 +79,12 @@ def _common_palette(frames: list[Image.Image]) -> Image.Image:
     """
     chosen = [frames[i] for i in np.linspace(0, len(frames) - 1, 4).astype(int)]
     width, height = chosen[0].size
+
     montage = Image.new("RGB", (width, height * (len(chosen) + 1)))
     for i, frame in enumerate(chosen):
         montage.paste(frame, (0, i * height))
+
+    # Shades from half to full light, as the shading makes them.
     names = (palette.GOAL, palette.GOAL_ACHIEVED, palette.ROBOT, palette.ROBOT_LIMB, palette.TRAIL)
     shades = np.linspace(0.5, 1.0, 8)
     swatches = np.array([[255 * shade * palette.rgb(name) for shade in shades] for name in names])
@@ -89,6 +92,7 @@ def _common_palette(frames: list[Image.Image]) -> Image.Image:
     montage.paste(
         swatch.resize((width, height), Image.Resampling.NEAREST), (0, height * len(chosen))
     )
+    # One index of 256 is left for what GIF calls transparent: pixels that stay as they were.
     return montage.quantize(255, method=Image.Quantize.MEDIANCUT)
 
 
@@ -156,6 +160,7 @@ def _draw_trail(
     pen = ImageDraw.Draw(trail)
     points = _pixels(backdrop, xy)
     pen.line(points, fill=255, width=width, joint="curve")
+    # Round ends, where one piece of the trail joins the next.
     for column, row in points:
         r = width / 2
         pen.ellipse((column - r, row - r, column + r, row + r), fill=255)
@@ -215,6 +220,8 @@ def _with_panel(
     limit, total = int(recording.maze.num_decisions), int(recording.maze.num_goals)
     goal_colour = palette.GOAL_ACHIEVED if num_achieved == total else palette.INK
     pen.text((left, top), title, palette.INK, palette.font(18, is_bold=True))
+
+    # Name, value, where they stand, and the value's colour.
     numbers = [
         ("decision", f"{decision + 1} of {limit}", 0, 40, palette.INK),
         ("goals", f"{num_achieved} of {total}", 116, 40, goal_colour),

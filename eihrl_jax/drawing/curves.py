@@ -16,7 +16,7 @@ from eihrl_jax.drawing import figures, palette
 
 _LINES = tuple(itertools.product(("-", "--", ":"), palette.CURVE))
 _MARKERS = "os^DvPX"
-_NUM_MARKERS = 3
+_NUM_MARKERS = 3  # per curve: enough to tell it where it runs alone
 
 
 def columns(path: pathlib.Path) -> tuple[str, ...]:
@@ -60,6 +60,7 @@ def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
 def smooth(values: Float[np.ndarray, " N"], window: int) -> Float[np.ndarray, " N"]:
     """Averages each value with those around it, `window` in all, fewer at the ends."""
     half = min(window, len(values)) // 2
+    # Differences of running sums, so that the window's size costs nothing.
     padded = np.concatenate([[0.0], np.cumsum(values)])
     first = np.maximum(np.arange(len(values)) - half, 0)
     last = np.minimum(np.arange(len(values)) + half + 1, len(values))
@@ -90,7 +91,7 @@ def save(
         colour = palette.CURVE[i % len(palette.CURVE)]
         x, y = points[:, 0], y_scale * points[:, 1]
         axes.plot(x, y, color=colour, alpha=0.25, linewidth=1.0)
-        window = max(1, len(y) // 50)
+        window = max(1, len(y) // 50)  # rows: a fiftieth of the curve
         axes.plot(x, smooth(y, window), color=colour, linewidth=2.0, label=label)
     if y_range is not None:
         axes.set_ylim(*y_range)
@@ -132,7 +133,7 @@ def save_spread(
         i = all_labels.index(label)
         style, colour = _LINES[i % len(_LINES)]
         x, y = aligned(curves)
-        y *= y_scale
+        y *= y_scale  # a fresh array of `aligned`, not the caller's
         axes.fill_between(x, y.min(0), y.max(0), color=colour, alpha=0.12, linewidth=0.0)
 
         # Markers of each curve begin elsewhere, so that none hides another's.
@@ -181,13 +182,11 @@ def new_axes(x_label: str, y_label: str) -> matplotlib.axes.Axes:
     """Returns empty axes in the style of all pictures."""
     axes = figures.new(7.0, 4.2).add_subplot()
     axes.set_facecolor(palette.PAPER)
-    axes.set_xlabel(x_label, color=palette.INK)
-    axes.set_ylabel(y_label, color=palette.INK)
+    figures.label(axes, x_label, y_label)
     axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=" "))
     axes.grid(color=palette.MUTED, alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(palette.MUTED)
-    axes.tick_params(colors=palette.INK)
     return axes
 
 

@@ -2,12 +2,13 @@
 
 import pathlib
 
+import matplotlib.axes
 import matplotlib.figure
 from matplotlib.backends import backend_agg
 
 from eihrl_jax.drawing import palette
 
-_DPI = 160
+_DPI = 160  # dots per inch: sharp on a page at half its size
 
 
 def new(width: float, height: float) -> matplotlib.figure.Figure:
@@ -15,6 +16,13 @@ def new(width: float, height: float) -> matplotlib.figure.Figure:
     return matplotlib.figure.Figure(
         figsize=(width, height), dpi=_DPI, facecolor=palette.PAPER, layout="constrained"
     )
+
+
+def label(axes: matplotlib.axes.Axes, x: str, y: str) -> None:
+    """Names what axes show, with its unit, in the colour of all text; ticks get it too."""
+    axes.set_xlabel(x, color=palette.INK)
+    axes.set_ylabel(y, color=palette.INK)
+    axes.tick_params(colors=palette.INK)
 
 
 def save(figure: matplotlib.figure.Figure, path: pathlib.Path) -> None:

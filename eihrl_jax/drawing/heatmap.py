@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import matplotlib.axes
 import matplotlib.cm
-import matplotlib.colorbar
 import matplotlib.colors
 import matplotlib.figure
 import matplotlib.lines
@@ -44,8 +43,7 @@ def save(path: pathlib.Path, visits: Visits) -> None:
     axes = figure.add_subplot()
     norm = _norm([visits])
     _draw(axes, visits, norm)
-    axes.set_xlabel("x, units", color=palette.INK)
-    axes.set_ylabel("y, units", color=palette.INK)
+    figures.label(axes, "x, units", "y, units")
 
     # Insets stay beside the maze whatever size its aspect leaves it.
     top = axes.inset_axes((0.0, 1.02, 1.0, 0.14), sharex=axes)
@@ -62,7 +60,7 @@ def save(path: pathlib.Path, visits: Visits) -> None:
         marginal.spines[:].set_visible(False)
         marginal.tick_params(length=0, labelbottom=False, labelleft=False)
         marginal.set_facecolor("none")
-    _style_bar(figure.colorbar(_mappable(norm), cax=scale))
+    _add_bar(figure, scale, norm)
     _add_legend(figure)
     figures.save(figure, path)
 
@@ -73,14 +71,14 @@ def save_together(path: pathlib.Path, visits: Sequence[Visits], *, num_columns: 
     num_rows = -(-len(visits) // num_columns)
     figure = figures.new(3.3 * num_columns + 1.0, 3.5 * num_rows + 0.7)
     grid = figure.add_gridspec(num_rows, num_columns + 1, width_ratios=[20] * num_columns + [1])
+    # One scale for all, so that equal colours are equal shares.
     norm = _norm(visits)
     for i, item in enumerate(visits):
         axes = figure.add_subplot(grid[i // num_columns, i % num_columns])
         _draw(axes, item, norm)
         axes.set_title(item.title, loc="left", color=palette.INK, fontsize=10)
         axes.tick_params(labelbottom=False, labelleft=False, length=0)
-    bar = figure.colorbar(_mappable(norm), cax=figure.add_subplot(grid[:, -1]))
-    _style_bar(bar)
+    _add_bar(figure, figure.add_subplot(grid[:, -1]), norm)
     _add_legend(figure)
     figures.save(figure, path)
 
@@ -97,17 +95,16 @@ def _add_legend(figure: matplotlib.figure.Figure) -> None:
 
 def _norm(visits: Sequence[Visits]) -> matplotlib.colors.Normalize:
     """Returns a scale in per cent up to the most visited place, bright where few came by, too."""
+    # The square root of the share is what is coloured; a maze nobody entered has a scale too.
     highest = max(float(item.share.max()) for item in visits)
     return matplotlib.colors.PowerNorm(0.5, 0.0, 100.0 * highest or 1.0)
 
 
-def _mappable(norm: matplotlib.colors.Normalize) -> matplotlib.cm.ScalarMappable:
-    """Returns what the colour bar shows."""
-    return matplotlib.cm.ScalarMappable(norm, palette.HEAT)
-
-
-def _style_bar(bar: matplotlib.colorbar.Colorbar) -> None:
-    """Labels the colour bar."""
+def _add_bar(
+    figure: matplotlib.figure.Figure, axes: matplotlib.axes.Axes, norm: matplotlib.colors.Normalize
+) -> None:
+    """Draws the colour bar into axes of its own."""
+    bar = figure.colorbar(matplotlib.cm.ScalarMappable(norm, palette.HEAT), cax=axes)
     bar.set_label(_LABEL, color=palette.INK)
     bar.outline.set_visible(False)
 

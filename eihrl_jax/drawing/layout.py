@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 
 from eihrl_jax import base
-from eihrl_jax.drawing import palette, picture
+from eihrl_jax.drawing import figures, palette, picture
 from eihrl_jax.envs import raster
 from eihrl_jax.mazes import maze as maze_lib
 
@@ -35,18 +35,20 @@ def draw(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, title: str = "") ->
     )
     goal, gold = np.asarray(maze.goal), palette.rgb(palette.GOAL)
     image[goal > 0] = gold
+
     # Door candidates that are walled up show as wall with a tint of gold.
     closed = np.asarray(maze.door & maze.wall)
     wall = palette.rgb(palette.WALL)
     image[closed] = (1.0 - _DOOR_OPACITY) * wall + _DOOR_OPACITY * gold
     axes.imshow(image, extent=extent(maze), interpolation="nearest")
+
     add_marks(axes, maze, start_colour=palette.INK)
+    # A region's number stands once, in the middle of its cells.
     centre_xy = np.asarray(maze_lib.goal_centres(maze))
     for number in np.unique(goal[goal > 0]):
         x, y = centre_xy[number - 1]
         axes.text(x, y, str(number), ha="center", va="center", color=palette.INK, weight="bold")
-    axes.set_xlabel("x, units", color=palette.INK)
-    axes.set_ylabel("y, units", color=palette.INK)
+    figures.label(axes, "x, units", "y, units")
     axes.set_title(title, loc="left", color=palette.INK, fontsize=10)
 
 
@@ -103,16 +105,17 @@ def draw_patch(
     half = view.extent / 2
     sides = (-half, half, -half, half)
     axes.imshow(picture.colour_patch(patch), extent=sides, interpolation="nearest")
+
+    # Lines between pixels: the network sees squares, not shapes.
     edges = np.linspace(-half, half, view.pixels + 1)
     style = {"color": palette.PAPER, "linewidth": 0.5}
     axes.hlines(edges, -half, half, **style)
     axes.vlines(edges, -half, half, **style)
+
     axes.set_xlim(-half, half)
     axes.set_ylim(-half, half)
     axes.spines[:].set_visible(False)
-    axes.tick_params(colors=palette.INK)
-    axes.set_xlabel("x from the torso, units", color=palette.INK)
-    axes.set_ylabel("y from the torso, units", color=palette.INK)
+    figures.label(axes, "x from the torso, units", "y from the torso, units")
     axes.set_title(title, loc="left", color=palette.INK, fontsize=10)
 
 

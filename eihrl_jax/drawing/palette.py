@@ -21,8 +21,8 @@ ROBOT_LIMB = "#EE8A4A"
 TRAIL = "#2F6DB5"
 ARROW = "#123E73"
 CURVE = ("#2F6DB5", "#D9482B", "#3F9B6C", "#8F5FB0", "#C98A12")
-UNSEEN = "#C9CDD4"
-HEAT = "inferno"
+UNSEEN = "#C9CDD4"  # on the planner's map
+HEAT = "inferno"  # its lightness grows evenly, so that it reads in grey as well
 
 
 def rgb(colour: str) -> Float[np.ndarray, "3"]:

@@ -20,7 +20,7 @@ from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import tree
 from eihrl_jax.physics import kinematics
 
-SUPERSAMPLING = 2
+SUPERSAMPLING = 2  # along each side: four rays per pixel
 WALL_HEIGHT = 1.1
 """Drawn height of the walls, units."""
 
@@ -36,8 +36,8 @@ _FIELD = 3.2
 _LIGHT = (-0.48, -0.28, 0.83)
 """Unit vector towards the light: from the left, a little from the front."""
 
-_AMBIENT = 0.60
-_SHADOW = 0.30
+_AMBIENT = 0.60  # share of the light that comes from everywhere
+_SHADOW = 0.30  # share of the floor's colour that the robot's shadow takes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,6 +144,8 @@ def draw_maze(maze: maze_lib.Maze, *, width: int, height: int) -> Backdrop:
     camera = fit_camera(rows, columns, **size)
     low, high = wall_boxes(np.asarray(maze.wall))
     drawn = _draw_maze(camera, maze, jnp.asarray(low), jnp.asarray(high), **size)
+
+    # A focal length over a depth is pixels per unit there.
     centre = np.mean(drawn_area(rows, columns), 0)
     depth = float(np.linalg.norm(np.asarray(camera.position) - centre))
     colour, distance, goal, is_floor = (np.array(x) for x in drawn)
@@ -189,6 +191,7 @@ def _draw_maze(
     crevice = 1.0 - 0.28 * jnp.exp(-_wall_distance(x, y, low, high) / 0.55)
     shade = (shade * jnp.where(is_floor, crevice, 1.0))[..., None]
 
+    # Tiles of a cell each show distances; what no ray hits is paper.
     tile = _choose((i + j) % 2 == 0, _rgb("FLOOR"), _rgb("FLOOR_ALTERNATE"))
     surface = jnp.where(is_floor[..., None], tile, _rgb("WALL")[None, None])
     is_seen = (is_floor | (wall.index >= 0))[..., None]
@@ -325,9 +328,8 @@ def colour_patch(patch: Bool[np.ndarray, "P P C"]) -> Float[np.ndarray, "P P 3"]
       patch: channels wall, unvisited goal, robot; a later one hides an earlier one. On a map the
         fourth is what hasn't been seen.
     """
-    channels = np.moveaxis(patch, -1, 0)
     colours = (palette.WALL, palette.GOAL, palette.ROBOT, palette.UNSEEN)
     image = np.full((*patch.shape[:2], 3), palette.rgb(palette.FLOOR))
-    for mask, colour in zip(channels, colours, strict=False):
+    for mask, colour in zip(np.moveaxis(patch, -1, 0), colours, strict=False):
         image[mask] = palette.rgb(colour)
     return image

@@ -81,6 +81,7 @@ def look_at(
     centre: Float[Array, "2"],
 ) -> Camera:
     """Returns a camera at `position` whose optical axis goes through `target`, upright."""
+    # Image axes are x right, y down, z forward, so that depth is the third coordinate.
     forward = (target - position) / jnp.linalg.norm(target - position)
     right = jnp.cross(forward, jnp.array([0.0, 0.0, 1.0]))
     right = right / jnp.linalg.norm(right)
@@ -105,6 +106,7 @@ def pixel_rays(camera: Camera, corner: Int[Array, "2"], *, height: int, width: i
       height: rows of the window, H.
       width: columns of the window, W.
     """
+    # Through the middle of each pixel.
     row, column = jnp.mgrid[:height, :width].astype(jnp.float32) + 0.5
     left, top = camera.centre - corner.astype(jnp.float32)
     right, down = (column - left) / camera.focal, (row - top) / camera.focal
@@ -246,6 +248,7 @@ def _cylinder(
     offset: Vector, direction: Vector, axis: Vector, radius: Float[Array, ""]
 ) -> Float[Array, "H W"]:
     """Distance to an endless cylinder on whose axis lies the point from which `offset` counts."""
+    # What lies along the axis doesn't count: the circle is met in the plane across it.
     direction_along, offset_along = dot(direction, axis), dot(offset, axis)
     a = jnp.maximum(dot(direction, direction) - direction_along**2, 1e-9)
     half_b = dot(direction, offset) - direction_along * offset_along

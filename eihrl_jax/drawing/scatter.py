@@ -11,7 +11,7 @@ from eihrl_jax import base
 from eihrl_jax.drawing import figures, palette
 
 _NAMES = ("x+", "x-", "y+", "y-")
-_EXTENT = 5.0
+_EXTENT = 5.0  # units to each side: a cell of 3, and what goes beyond it
 
 
 def save(
@@ -47,18 +47,18 @@ def save(
             matplotlib.patches.Circle(tuple(target), 3.0 * sigma, fill=False, color=palette.MUTED)
         )
 
-        mean_xy, std_xy = points.mean(0), points.std(0)
-        mean, std = ("({:.2f}, {:.2f})".format(*pair) for pair in (mean_xy, std_xy))
+        # The legend has the numbers that the cloud shows; an empty line stands for it there.
+        moments = points.mean(0), points.std(0)
+        mean, std = ("({:.2f}, {:.2f})".format(*pair) for pair in moments)
         text = f"{_NAMES[index]}: {mean} ± {std}"
         axes.plot([], [], "o", color=colour, markersize=5, label=text)
 
     axes.plot(0.0, 0.0, marker="o", color=palette.INK, markersize=5)
     axes.set(xlim=(-_EXTENT, _EXTENT), ylim=(-_EXTENT, _EXTENT), aspect="equal")
-    axes.set_xlabel("x since the subgoal was given, units", color=palette.INK)
-    axes.set_ylabel("y since the subgoal was given, units", color=palette.INK)
+    since = "since the subgoal was given, units"
+    figures.label(axes, f"x {since}", f"y {since}")
     axes.set_title(title, loc="left", color=palette.INK, weight="bold")
     axes.grid(color=palette.MUTED, alpha=0.25, linewidth=0.6)
     axes.spines[:].set_visible(False)
-    axes.tick_params(colors=palette.INK)
     axes.legend(frameon=False, labelcolor=palette.INK, loc="upper left", fontsize=7)
     figures.save(figure, path)

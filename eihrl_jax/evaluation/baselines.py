@@ -55,7 +55,7 @@ class BaselineMaze:
 
     def trace(self, state: EnvState, action: Int[Array, ""]) -> tuple[EnvState, hierarchy.Trace]:
         """Lets the baseline act for as long as one of our subgoals takes; `action` is ignored."""
-        del action
+        del action  # A baseline brings its own upper level.
 
         def advance(
             loop: tuple[goal_maze.EnvState, PyTree[Array]], _: None
@@ -64,14 +64,17 @@ class BaselineMaze:
             ctrl, carry = self.baseline.act(self.policy, carry, before.obs)
             after = self.env.step(before, ctrl)
 
+            # An episode that is over rests; its steps are marked and left out of what is drawn.
             qpos = after.inner.physics.qpos
             is_fallen = body_lib.is_fallen(qpos, self.env.robot)
             step = hierarchy.Trace(qpos=qpos, is_fallen=is_fallen, is_running=~before.is_over)
             return (after, carry), step
 
+        # As long as one of our subgoals, so that decisions count the same time for both.
         start = state.inner.state, state.inner.carry
         num_steps = self.env.robot.steps_per_subgoal
         (inner, carry), trace = jax.lax.scan(advance, start, length=num_steps)
+        # The metric sums over the episode: the difference is what these steps were paid.
         paid = inner.metrics["return"] - state.metrics["return"]
         return self._outer(inner, carry, paid), trace
 
@@ -82,6 +85,8 @@ class BaselineMaze:
         decisions = state.metrics["decisions"].astype(jnp.int32)
         nav = state.inner.nav.replace(decisions=decisions)
         inner = BaselineMazeState(nav=nav, state=state, carry=carry)
+
+        # No observation: what the baseline sees is in the maze's own state.
         outcome = base.Outcome(reward, state.terminated, state.truncated)
         return base.EnvState.of(
             inner=inner, obs=None, outcome=outcome, metrics=state.metrics, key=state.key
@@ -113,8 +118,10 @@ def load(
     if method not in presets.BASELINES:
         raise base.UserError(f"{path}: unknown method {method!r}")
 
+    # Through the codec, so that what a stranger's file says is checked like a config.
     text = json.dumps(policies.entry(meta, "config", path), default=str)
     options = codec.from_json(type(presets.BASELINES[method]), text, source=str(path))
+
     env = goal_maze.GoalMaze(engine, stacked, reward=reward)
     width, height = policies.entry(meta, "side_xy", path)
     steps = int(env.table.mazes.num_decisions.max())

@@ -71,6 +71,7 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
       base.UserError: a maze, robot or policy is unknown or doesn't fit; two agents would have the
         same name in the files.
     """
+    # Everything that can be wrong is loaded first: no hour of episodes is lost to a typing error.
     chosen = _load_mazes(options)
     plan = rollouts.Plan(
         mazes=chosen,
@@ -83,12 +84,12 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
     for item in prepared:
         title = f"{item.agent.robot}, {item.agent.movement} movement, {item.agent.high}"
         with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
-            found = item.runner.run(item.high_policy, progress)
+            by_maze = item.runner.run(item.high_policy, progress)
         yield Evaluated(
             agent=item.agent,
             robot=item.robot,
             mazes=chosen,
-            rollouts=found,
+            rollouts=by_maze,
             seconds=progress.seconds,
             is_last=item is prepared[-1],
         )
@@ -100,6 +101,8 @@ def _load_mazes(options: evaluate_config.EvaluateConfig) -> dict[str, mazes.Maze
     for name in options.mazes:
         label = name if name in mazes.NAMES else pathlib.Path(name).stem
         maze = mazes.load(name, num_decisions=options.num_decisions)
+
+        # Labels name the files of results, so two files `maze.txt` can't be told apart there.
         if label in chosen:
             raise base.UserError(f"mazes: {name!r} would be the second one called {label!r}")
         chosen[label] = maze
@@ -109,6 +112,8 @@ def _load_mazes(options: evaluate_config.EvaluateConfig) -> dict[str, mazes.Maze
 def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> list[_Prepared]:
     """Loads all policies and builds all environments before anything runs."""
     stacked = mazes.stack(list(plan.mazes.values()))
+
+    # A name may be a high level's or a whole baseline's, which no other level goes with.
     whole = [name for name in options.high if baselines.is_baseline(name)]
     if whole and "full" not in options.movement:
         raise base.UserError(f"{whole[0]} is a baseline, which walks: it needs --movement full")
@@ -124,6 +129,7 @@ def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> li
             if movement == "full":
                 low = options.low[i] if options.low else name
             envs = _envs(options, robot, low, stacked, [high.view for high in highs])
+            # One runner for all high levels with a view: those alike share what it compiles.
             runners = {view: rollouts.Runner(env, plan) for view, env in envs.items()}
             for high in highs:
                 agent = results.Agent(robot=robot.name, movement=movement, high=high.label, low=low)
@@ -144,6 +150,7 @@ def _prepare_baseline(
     agent = results.Agent(robot=robot.name, movement="full", high=name, low=None)
     engine = engines.make(robot, options.engine)
     env = baselines.load(name, engine, stacked, reward=options.reward)
+    # A runner asks a high level for a direction; what it answers isn't used.
     uniform = loading.load_high(evaluate_config.UNIFORM)
     return _Prepared(agent, robot, rollouts.Runner(env, plan), uniform.policy)
 
@@ -177,6 +184,7 @@ def _check_names(agents: Sequence[results.Agent]) -> None:
     Raises:
       base.UserError: two agents would have the same name in the files.
     """
+    # Characters that paths can't hold are replaced, which may make different labels the same.
     names = [agent.file_name for agent in agents]
     for i, (name, agent) in enumerate(zip(names, agents, strict=True)):
         if name in names[:i]:

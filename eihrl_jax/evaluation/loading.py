@@ -14,14 +14,7 @@ from eihrl_jax.config import codec
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import (
-    hierarchy,
-    low_obs,
-    oracle_maze,
-    physics_maze,
-    raster,
-    subgoals,
-)
+from eihrl_jax.envs import hierarchy, low_obs, oracle_maze, physics_maze, raster, subgoals
 from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import actor_critic, droq
 from eihrl_jax.physics import engine as engine_lib
@@ -69,8 +62,11 @@ class RecordableOracle:
         following = self.env.step(state, action)
         num = self.env.movement.num_substeps
 
+        # The start is left out: it is where the decision before ended.
         share = jnp.linspace(0.0, 1.0, num + 1)[1:, None]
         way_xy = (1.0 - share) * state.inner.xy[None] + share * following.inner.xy[None]
+
+        # One posture all the way, that of the picture at its end: the oracle has no gait.
         posture = self.qpos[following.inner.posture]
         return following, hierarchy.Trace(
             qpos=jnp.repeat(posture[None], num, axis=0).at[:, :2].set(way_xy),
@@ -99,11 +95,14 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
 
     path = policies.find(name, "high")
     params, meta = policies.load(path, kind="high")
+
+    # The folder says what to build; shapes are then compared, so that a damaged one is named.
     view = raster.View(**policies.entry(meta, "view", path))
     sizes = json.dumps(policies.entry(meta, "network", path))
     network = actor_critic.make(codec.from_json(high_config.Network, sizes, source=str(path)))
     obs = jnp.zeros(view.obs_shape, bool)
     checkpoint.check_same(path, params, jax.eval_shape(network.init, jax.random.key(0), obs))
+
     # A pytree of the parameters: policies that differ in them alone share what is compiled.
     policy = jax.tree_util.Partial(_Learned(network, greedy), params)
     return HighLevel(name, policy, view)
@@ -144,6 +143,8 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
     """
     path = policies.find(name, "low")
     params, meta = policies.load(path, kind="low", robot=robot.name)
+
+    # As above: first what the folder says, then whether its parameters fit that.
     options = low_config.LowInput(**policies.entry(meta, "low_input", path))
     num_actions, hidden = (policies.entry(meta, name, path) for name in ("num_actions", "hidden"))
     actor = droq.Actor(num_actions, tuple(hidden))
@@ -152,7 +153,7 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
     checkpoint.check_same(path, params, expected)
 
     def policy(obs: low_obs.LowObs, key: Key[Array, ""]) -> Float[Array, " nu"]:
-        del key
+        del key  # The mean of the actor acts, without noise.
         mean, _ = actor.apply({"params": params}, low_obs.features(obs, robot, options))
         return low_obs.ctrl_from_action(jnp.tanh(mean), obs, robot, options)
 

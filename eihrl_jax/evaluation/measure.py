@@ -22,7 +22,7 @@ from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import progress as progress_lib
 
-SUBGOALS_PER_EPISODE = 20
+SUBGOALS_PER_EPISODE = 20  # long enough that a fall's recovery is seen in its episode
 NUM_ROOMS = 256
 _ROOM_SEED = 2**32
 """Added to the seed: rooms that no training, whose seeds are below, has drawn."""
@@ -107,6 +107,8 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
     """
     robot = robots.load(options.robot)
     policy = loading.load_low(options.low or options.robot, robot)
+
+    # Open floor shows the gait alone; in rooms walls and turns disturb it as in a maze.
     engine = engines.make(robot, options.engine)
     walled = rooms.random_rooms(NUM_ROOMS, _ROOM_SEED + options.seed)
     floors = {subgoals.OPEN: rooms.open_floor(), subgoals.ROOMS: walled}
@@ -117,9 +119,9 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
             env = locomotion.Locomotion(
                 engine,
                 floor,
-                reward_options=low_config.LowReward(),
+                reward_options=low_config.LowReward(),  # of no account: nothing is learned here
                 episode_steps=SUBGOALS_PER_EPISODE * robot.steps_per_subgoal,
-                ends_at_fall=False,
+                ends_at_fall=False,  # so that recoveries can be counted
             )
             measured[name] = jax.device_get(_follow(env, policy, options, index))
             bar.update(index + 1, {})
@@ -135,9 +137,11 @@ def _follow(
     stream: int,
 ) -> Steps:
     """Lets N robots follow random subgoals, each at least its share of `num_subgoals`."""
+    # Rounded up: every robot follows the same whole number of subgoals.
     k = env.robot.steps_per_subgoal
     num_steps = k * math.ceil(options.num_subgoals / options.num_envs)
     resetting = wrappers.AutoReset(env)
+    # A stream of its own for each surrounding: neither depends on the other's being measured.
     reset_key, act_key = jax.random.split(jax.random.fold_in(jax.random.key(options.seed), stream))
 
     def advance(
@@ -147,6 +151,8 @@ def _follow(
         before = state.inner
         was_down = body_lib.is_fallen(before.physics.qpos, env.robot)
         now = SubgoalStart(is_upright=~was_down, is_clear=_is_clear(env, before))
+
+        # What holds when a subgoal is given is kept until it ends, k steps later.
         start = tree.where(before.step % k == 0, now, start)
 
         after = resetting.step(state, policy(state.obs, act_key))
@@ -190,6 +196,7 @@ def end_points(steps: Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
     along_lateral = np.stack([steps.along[counts], steps.lateral[counts]], -1)
     direction = np.asarray(steps.direction)[counts]
 
+    # From the subgoal's frame back to the world's, where the four directions part.
     ends = {}
     for index, (x, y) in enumerate(base.DIRECTIONS_XY):
         to_world = np.array([[x, y], [-y, x]])  # rows: where `along` and `lateral` point
@@ -216,6 +223,7 @@ def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.St
     begun = ((steps.switched > 0) | (steps.broke_down > 0)) & steps.start.is_upright
     num_begun = max(int(begun.sum()), 1)
 
+    # Medians of those that stood again; how many did is told beside it. Rates are per 1,000.
     times = recovery_times(steps, robot.steps_per_subgoal)
     finite = times[np.isfinite(times)]
     return subgoals.Statistics(
@@ -237,6 +245,8 @@ def _displacement(
         return dict.fromkeys(_DISPLACEMENT, math.nan)
     with np.errstate(invalid="ignore"):  # NaN where one of the two never changes
         correlation = np.corrcoef(along, lateral)[0, 1]
+
+    # Both against the law that the high level trains with: N(cell, sigma) along, N(0, sigma) aside.
     distances = wasserstein(along - base.CELL, sigma), wasserstein(lateral, sigma)
     moments = along.mean(), along.std(), lateral.mean(), lateral.std()
     values = map(float, (*moments, correlation, *distances))
@@ -253,6 +263,7 @@ def recovery_times(steps: Steps, min_steps: int) -> Float[np.ndarray, " F"]:
     """
     times = []
     for t, robot in np.argwhere(steps.fell > 0):
+        # Looked for within the episode: the next one starts with a robot that stands anyway.
         ended = np.flatnonzero(steps.ended[t:, robot])
         end = t + ended[0] if len(ended) else len(steps.ended) - 1
         upright = np.flatnonzero(~steps.was_down[t + 1 : end + 1, robot])
@@ -284,9 +295,12 @@ def _counts(steps: Steps) -> Bool[np.ndarray, "T N"]:
 
 def upright_postures(steps: Steps, robot: robot_lib.Robot, num: int) -> Float[Array, "num nq"]:
     """Picks postures spread evenly over robots and time, the first subgoal left out, x = y = 0."""
+    # A robot comes to its gait out of rest during the first subgoal.
     qpos = np.asarray(steps.qpos)[robot.steps_per_subgoal :]
     upright = qpos[~np.asarray(steps.was_down)[robot.steps_per_subgoal :]]
     if not len(upright):
         raise base.UserError(f"robot {robot.name!r} was never upright: there are no postures")
+
+    # Spread over the whole record, since neighbouring steps show nearly the same posture.
     index = np.linspace(0, len(upright) - 1, num).astype(np.int64)
     return jnp.asarray(upright[index]).at[:, :2].set(0.0)

@@ -48,6 +48,7 @@ class Agent:
     @property
     def file_name(self) -> str:
         """Name of the agent in files' names, e.g. `ant-full-uniform`."""
+        # Of a path the last part alone, and nothing that a file system could object to.
         words = (self.robot, self.movement, pathlib.PurePath(self.high).name)
         return re.sub(r"[^\w.-]+", "_", "-".join(words))
 
@@ -73,6 +74,7 @@ class Episodes(struct.PyTreeNode):
 
     def outcomes(self, num_goals: int) -> list[str]:
         """Names each episode's outcome, one of `OUTCOMES`."""
+        # The first that holds counts: who fell after the last goal has solved the maze.
         conditions = [self.achieved == num_goals, self.has_fallen, self.is_unstable]
         return np.select(conditions, OUTCOMES[:-1], default=OUTCOMES[-1]).tolist()
 
@@ -138,14 +140,10 @@ class Evaluation:
 
 
 def summarise(
-    maze: str,
-    agent: Agent,
-    episodes: Episodes,
-    *,
-    num_goals: int,
-    num_decisions: int,
+    maze: str, agent: Agent, episodes: Episodes, *, num_goals: int, num_decisions: int
 ) -> Cell:
     """Summarises the episodes of one agent in one maze."""
+    # Seeds in the order in which they were asked for.
     achieved, seeds = episodes.achieved, tuple(dict.fromkeys(episodes.seed.tolist()))
     counts = collections.Counter(episodes.outcomes(num_goals))
     solved = episodes.decisions[achieved == num_goals]
@@ -186,6 +184,8 @@ def load(path: pathlib.Path) -> Evaluation:
         evaluation = codec.from_json(Evaluation, _updated(text))
     except ValueError as error:
         raise base.UserError(f"{path} is no eval.json: {error}") from None
+
+    # Another format may have the same fields and mean something else by them.
     if evaluation.format != FORMAT:
         raise base.UserError(f"{path}: eval.json has format {evaluation.format}, expected {FORMAT}")
     return evaluation

@@ -176,6 +176,7 @@ class Runner:
             success[here] = np.asarray(state.metrics["success"])[:num]
             progress.update(int(spent.sum()), {"success": success[: here.stop].mean()})
 
+        # One batch after the other, each until its last episode is over.
         batches = []
         for first in range(0, len(rows), self._size):
             here = slice(first, first + self._size)
@@ -186,6 +187,7 @@ class Runner:
         self, high_policy: HighPolicy, progress: progress_lib.Progress
     ) -> jax.stages.Compiled:
         """Returns the program of a decision of all episodes for high levels like this one."""
+        # The structure holds network and options, but no parameters: equal ones share a program.
         kind = jax.tree.structure(high_policy)
         if kind not in self._compiled:
             with progress.compiling("episodes"):
@@ -224,6 +226,8 @@ class Runner:
         ) -> tuple[base.EnvState, Bool[Array, "rows columns"], Decision]:
             action = high_policy(state.obs, jax.random.fold_in(key, t))
             following, trace = self._env.trace(state, action)
+
+            # Over is over: numbers of an episode stay while the others of its batch go on.
             kept = tree.where(state.is_over, state, following)
             decision = Decision(obs=state.obs, action=action, trace=trace)
             return kept, _mark(was_there, trace), decision
@@ -241,8 +245,9 @@ class Runner:
         state, was_there, keys, recorded = self._begin(rows)
         history: list[Decision] = []
         while not state.is_over.all():
-            t = jnp.int32(len(history))
+            t = jnp.int32(len(history))  # typed as the program was compiled
             state, was_there, decision = decide(state, was_there, keys, recorded, t)
+            # To the host at once, so that the device holds one decision's record only.
             history.append(jax.device_get(decision))
             report(state)
         return self._finish(rows, state, was_there, history)
@@ -277,6 +282,7 @@ class Runner:
             lambda leaf: np.asarray(leaf)[: len(rows)],
             (state.inner.nav, state.metrics, was_there),
         )
+        # Oracle movement neither falls nor breaks down, and has no such metrics.
         never = np.zeros(len(rows))
         episodes = results.Episodes(
             achieved=nav.visited.sum(-1),
@@ -286,8 +292,11 @@ class Runner:
             is_unstable=metrics.get("broke_down", never) > 0.0,
             seed=rows[:, 0],
         )
+
+        # Summed per batch: bins of every single episode would pile up in memory.
         visits = [visited[rows[:, 1] == maze].sum(0) for maze in range(len(self._mazes))]
 
+        # Each is cut to the decisions that its episode took, and drawn with the door it had.
         recordings: list[list[recording_lib.Recording]] = [[] for _ in self._mazes]
         decisions = jax.tree.map(lambda *leaves: np.stack(leaves, 1), *history)
         for i, row in enumerate(self._recorded(rows)):
@@ -306,6 +315,7 @@ class Runner:
         rollouts = {}
         for index, (name, maze) in enumerate(self._plan.mazes.items()):
             is_here = self._rows[:, 1] == index
+            # Bins of the padding, by which mazes are made equally large, are cut off.
             num_rows, num_columns = (BINS_PER_CELL * side for side in maze.wall.shape)
             rollouts[name] = Rollout(
                 episodes=jax.tree.map(lambda column, here=is_here: column[here], episodes),
@@ -322,6 +332,7 @@ def _streams(
 
     The maze enters by its name, so that it does not matter which others are evaluated.
     """
+    # CRC32, since Python's own hash of a text differs from process to process.
     hashes = np.array([zlib.crc32(name.encode()) for name in names], np.uint32)
 
     def stream(
@@ -340,6 +351,7 @@ def _mark(
 ) -> Bool[Array, "rows columns"]:
     """Marks the bins that the torso of a running episode comes through."""
     num_rows, _ = was_there.shape
+    # Rows count southwards from the maze's upper left corner, against y.
     x, y = trace.qpos[:, 0], trace.qpos[:, 1]
     side = base.CELL / BINS_PER_CELL
     i, j = jnp.floor(-y / side).astype(jnp.int32), jnp.floor(x / side).astype(jnp.int32)
@@ -350,6 +362,7 @@ def _mark(
 
 def _recording(maze: mazes.Maze, decisions: Decision) -> recording_lib.Recording:
     """Puts together the recording of one episode, in a maze whose door is open."""
+    # Flattened to moves: [D, k] with a mask, of which the moves after the episode's end fall out.
     trace, is_running = decisions.trace, np.asarray(decisions.trace.is_running)
     return recording_lib.Recording(
         maze=maze,

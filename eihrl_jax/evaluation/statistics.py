@@ -69,10 +69,12 @@ def wilson(rate: float, num_trials: float, confidence: float = CONFIDENCE) -> tu
     Source: E. B. Wilson, Probable inference, the law of succession, and statistical inference,
       Journal of the American Statistical Association 22 (1927).
     """
+    # Both ends of the interval are the roots of one quadratic equation in the true proportion.
     z = special.ndtri((1.0 + confidence) / 2.0)
     centre = (rate + z**2 / (2.0 * num_trials)) / (1.0 + z**2 / num_trials)
     spread = math.sqrt(rate * (1.0 - rate) / num_trials + (z / (2.0 * num_trials)) ** 2)
     half = z * spread / (1.0 + z**2 / num_trials)
+
     # At the ends of the range the interval ends there too; rounding must not move it off.
     low = 0.0 if rate == 0.0 else max(0.0, centre - half)
     high = 1.0 if rate == 1.0 else min(1.0, centre + half)
@@ -97,9 +99,12 @@ def effective_trials(achieved: Int[np.ndarray, " E"], num_goals: int) -> float:
     num_episodes = len(fraction)
     rate = fraction.mean()
     variance = fraction.var()
+
     if np.ptp(fraction) == 0.0:
         # All or none of the goals every time says nothing of their independence.
         return float(num_episodes if rate in (0.0, 1.0) else num_episodes * num_goals)
+
+    # n = E p(1-p) / s², see above, kept between all-or-none and independent goals.
     trials = num_episodes * rate * (1.0 - rate) / variance
     return float(np.clip(trials, num_episodes, num_episodes * num_goals))
 
@@ -128,9 +133,7 @@ def success(achieved: Int[np.ndarray, " E"], num_goals: int) -> Success:
     """
     rate = float(achieved.sum() / (len(achieved) * num_goals))
     low, high = wilson(rate, effective_trials(achieved, num_goals))
-    return Success(
-        rate=rate, low=low, high=high, block_std=block_std(np.asarray(achieved) / num_goals)
-    )
+    return Success(rate=rate, low=low, high=high, block_std=block_std(achieved / num_goals))
 
 
 def student(values: Float[np.ndarray, " N"], confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -144,6 +147,7 @@ def student(values: Float[np.ndarray, " N"], confidence: float = CONFIDENCE) -> 
       Lower and upper end.
     """
     num = len(values)
+    # N - 1 degrees of freedom: the standard deviation is estimated from the same values.
     quantile = special.stdtrit(num - 1, (1.0 + confidence) / 2.0)
     half = quantile * np.std(values, ddof=1) / math.sqrt(num)
     mean = np.mean(values)
@@ -152,6 +156,7 @@ def student(values: Float[np.ndarray, " N"], confidence: float = CONFIDENCE) -> 
 
 def over_runs(rates: Float[np.ndarray, " N"]) -> RunSpread:
     """Summarises the success rates of N >= 2 policies trained alike from different seeds."""
+    # Student's interval knows no limits, a rate has them.
     low, high = student(rates)
     return RunSpread(
         mean=float(np.mean(rates)),

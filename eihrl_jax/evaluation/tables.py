@@ -24,7 +24,7 @@ NOTE = (
 )
 """What the numbers of the tables are."""
 
-_ANY_WIDTH = 10_000
+_ANY_WIDTH = 10_000  # characters: wider than any table
 MOVEMENT_NAMES = {"oracle": "oracle movement", "full": "walking"}
 
 
@@ -55,7 +55,7 @@ def percent(success: statistics.Success) -> str:
     return rate if success.block_std is None else f"{rate} ± {100 * success.block_std:.1f}"
 
 
-def interval(success: statistics.Success) -> str:
+def interval(success: statistics.Success | statistics.RunSpread) -> str:
     """Formats a success rate's interval in per cent: "[62.1, 70.4]"."""
     return f"[{100 * success.low:.1f}, {100 * success.high:.1f}]"
 
@@ -67,6 +67,7 @@ def spread(over: statistics.RunSpread) -> str:
 
 def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns one general table for each agent."""
+    # In the order of the cells, which is that of the evaluation.
     header = ["maze", "success %", "95 %", "return", "decisions", "falls", "episodes"]
     rows: dict[results.Agent, list[list[str]]] = {}
     for cell in cells:
@@ -76,6 +77,7 @@ def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
             interval(cell.success),
             f"{cell.return_mean:.2f}",
             f"{cell.decisions_mean:.1f} / {cell.num_decisions}",
+            # The oracle can't fall: a zero would look like an achievement.
             str(cell.num_falls) if cell.agent.movement == "full" else "-",
             str(cell.num_episodes),
         ]
@@ -100,6 +102,7 @@ def _is_baseline(agent: results.Agent) -> bool:
 
 def _table1(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns the paper's Table 1 for each high level, the paper's figures below ours."""
+    # By high level, then agent, then maze: a table, its rows, its columns.
     success: dict[str, dict[results.Agent, dict[str, statistics.Success]]] = {}
     for cell in cells:
         if cell.maze in TABLE1_MAZES:
@@ -108,6 +111,7 @@ def _table1(cells: Sequence[results.Cell]) -> list[Table]:
 
     tables = []
     for high, agents in success.items():
+        # In the paper's order, whichever of them were evaluated.
         mazes = [m for m in TABLE1_MAZES if any(m in by_maze for by_maze in agents.values())]
         header = ["success %", *(TABLE1_MAZES[name] for name in mazes)]
         rows = [row for agent, by_maze in agents.items() for row in _rows1(agent, by_maze, mazes)]
@@ -119,6 +123,7 @@ def _rows1(
     agent: results.Agent, success: Mapping[str, statistics.Success], mazes: Sequence[str]
 ) -> list[list[str]]:
     """Returns one agent's rows of Table 1: its rates, their intervals, and the paper's rates."""
+    # An agent that wasn't evaluated in a maze has a dash there.
     rates = {maze: percent(rate) for maze, rate in success.items()}
     bounds = {maze: interval(rate) for maze, rate in success.items()}
     rows = [
@@ -160,10 +165,7 @@ def over_runs(
 
 def _over_runs(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns the table of `over_runs`, if there is one."""
-    rows = [
-        [*key, spread(over), f"[{100 * over.low:.1f}, {100 * over.high:.1f}]"]
-        for key, over in over_runs(cells).items()
-    ]
+    rows = [[*key, spread(over), interval(over)] for key, over in over_runs(cells).items()]
     header = ["high level", "maze", "robot", "movement", "mean ± std, %", "95 % of the mean"]
     return [Table("Success over training runs", header, rows)] if rows else []
 
@@ -187,6 +189,7 @@ def _shown(table: Table) -> rich.table.Table:
         box=rich.box.SIMPLE_HEAD,
         pad_edge=False,
     )
+    # Numbers are read from the right, and a row of a group's details steps back.
     for i, name in enumerate(table.header):
         shown.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
     for row in table.rows:

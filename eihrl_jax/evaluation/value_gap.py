@@ -70,16 +70,19 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
     Raises:
       base.UserError: a maze has several goals; a policy or maze is unknown.
     """
+    # One goal: the value is a probability of reaching it, discounted by when.
     chosen = {name: mazes.load(name) for name in options.mazes}
     for name, maze in chosen.items():
         if int(maze.num_goals) != 1:
             raise base.UserError(f"mazes: {name!r} has {int(maze.num_goals)} goals, must have 1")
     high = loading.load_high(options.high)
     stacked = mazes.stack(list(chosen.values()))
+
     # Before the first episode, so that what can't be loaded is named at once.
     full = {name: _full_env(stacked, high, name) for name in options.robots}
     laws = {name: shipped_law(name) for name in options.robots}
 
+    # The reference may be among the noise levels; it is run once.
     oracle: dict[float, Values] = {}
     for sigma in dict.fromkeys((options.reference, *options.sigmas)):
         env, title = _oracle_env(stacked, high, sigma), f"oracle, sigma {sigma:g}"
@@ -91,6 +94,8 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
         # Without noise the law is a point, which no density comes near.
         delta = displacement.total_variation(_oracle_law(sigma), law) if sigma else 1.0
         gaps += _gaps(options, chosen, "oracle", sigma, reference, oracle[sigma], delta)
+
+    # Fewer episodes than the oracle's, since each of them costs its physics.
     for name, env in full.items():
         title = f"{name}, walking"
         values = _values(options, env, high, chosen, options.full_episodes, title)
@@ -105,6 +110,7 @@ def shipped_law(robot: str) -> displacement.Displacement:
     Raises:
       base.UserError: the robot has none.
     """
+    # From the folder, where training wrote it: nothing is simulated for it.
     _, meta = policies.load(policies.find(robot, "low"), kind="low", robot=robot)
     names = ("along_mean", "along_std", "lateral_mean", "lateral_std")
     return displacement.Displacement.of(*(meta["statistics"][name] for name in names))
@@ -145,6 +151,7 @@ def _values(
     values = {}
     for name, rollout in by_maze.items():
         success = (np.asarray(rollout.episodes.achieved) > 0).astype(float)
+        # The reward comes at the end of the last decision, which is discounted d - 1 times.
         decisions = np.asarray(rollout.episodes.decisions)
         values[name] = np.stack([success, success * options.gamma ** (decisions - 1)])
     return values
@@ -168,9 +175,12 @@ def _gaps(
             variance = (theirs - ours).var(1) / ours.shape[1]
         else:
             variance = theirs.var(1) / theirs.shape[1] + ours.var(1) / ours.shape[1]
+
+        # Rows are success and discounted success; 1.96 standard errors to either side are 95 %.
         success_gap, value_gap = map(float, theirs.mean(1) - ours.mean(1))
         success_margin, value_margin = map(float, 1.96 * np.sqrt(variance))
 
+        # Undiscounted, each of the episode's decisions may go wrong; discounted, gamma weighs them.
         limit = int(maze.num_decisions)
         gaps.append(
             Gap(

@@ -112,13 +112,9 @@ def tables(
     >>> (signs * order).tolist()
     [[0.0, 1.0], [1.0, 0.0], [-0.0, -1.0], [-1.0, -0.0]]
     """
-    size = len(turn or mirror or ())
-    identity = np.arange(1, size + 1)
-    turned = list(
-        itertools.accumulate(
-            range(num_turns - 1), lambda old, _: compose(old, turn), initial=identity
-        )
-    )
+    # Every variant's numbers from 1 on, as in `SignedOrder`; a mirror follows the turns.
+    identity = np.arange(1, len(turn or mirror or ()) + 1)
+    turned = list(itertools.accumulate([turn] * (num_turns - 1), compose, initial=identity))
     variants = turned + ([compose(old, mirror) for old in turned] if mirror is not None else [])
     signed = np.stack(variants)
     return np.abs(signed) - 1, np.sign(signed).astype(np.float32)
