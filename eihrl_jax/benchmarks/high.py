@@ -64,6 +64,7 @@ def full_episodes(high_level: str = "best-random-0") -> part.Figures:
                 heatmaps=False,
             )
         )
+
     (seconds,) = evaluation.about["seconds"].values()
     return {"seconds": seconds, "success": evaluation.cells[0].success.rate}
 

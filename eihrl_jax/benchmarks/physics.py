@@ -222,6 +222,7 @@ def _deviation(
     apart = np.abs(
         [np.asarray(a.qpos) - np.asarray(b.qpos) for a, b in zip(run, truth, strict=True)]
     )
+
     greatest = apart.max(-1)  # over positions; [T, N]
     return {
         "median": float(np.median(greatest)),

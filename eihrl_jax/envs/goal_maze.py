@@ -133,6 +133,7 @@ class GoalMaze:
             goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, inner.nav)),
             time=steps / base.TIME_UNIT,
         )
+
         metrics = {
             "success": success,
             "decisions": jnp.ceil(steps / self.robot.steps_per_subgoal),

@@ -166,6 +166,7 @@ class MazeVectorEnv(vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         state = self._episodes.advance(actions)
         terminated, truncated = np.asarray(state.terminated), np.asarray(state.truncated)
         is_over, info = terminated | truncated, _info(state)
+
         if is_over.any():
             # Gymnasium's names; those with an underscore say which rows are meant.
             info = {
@@ -175,6 +176,7 @@ class MazeVectorEnv(vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 "final_info": info,
                 "_final_info": is_over,
             }
+
         obs = self._episodes.see(state.obs)
         return obs, np.asarray(state.reward), terminated, truncated, info
 

@@ -163,6 +163,7 @@ class OracleMaze:
         """
         if gait is None:
             gait = subgoals.gait(robot, None, base.CELL, base.SIGMA)
+
         movement = Movement(
             step=gait.step,
             sigma=gait.sigma,

@@ -118,6 +118,7 @@ def mean(cells: Sequence[results.Cell]) -> str:
         by_high.setdefault(cell.agent.high, []).append(cell.success.rate)
     if not by_high:
         return "-"
+
     # First over the mazes of each training, then over trainings: the deviation is that of seeds.
     rates = np.array([np.mean(rates) for rates in by_high.values()])
     if len(rates) == 1:

@@ -117,6 +117,7 @@ def _draw_heatmaps(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> No
         name: heatmap.Visits(f"{_label(name)} · {who}", evaluated.mazes[name], rollout.share)
         for name, rollout in evaluated.rollouts.items()
     }
+
     for name, item in visits.items():
         heatmap.save(out / f"{agent.file_name}-{name}-heatmap.png", item)
     if len(visits) > 1:

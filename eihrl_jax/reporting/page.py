@@ -108,6 +108,7 @@ def _table(table: tables_lib.Table) -> str:
         kind = ' class="published"' if row[0].startswith("paper") else ""
         cells = "".join(f"<td>{html.escape(text)}</td>" for text in row)
         rows.append(f"<tr{kind}>{cells}</tr>")
+
     caption, body = html.escape(table.title), "\n".join(rows)
     return (
         f"<table>\n<caption>{caption}</caption>\n<thead><tr>{head}</tr></thead>\n"

@@ -78,6 +78,7 @@ def markdown(gaps: list[gap_lib.Gap]) -> str:
     """
     # Two columns `bound`, each of the loss on its left.
     header = ["maze", "movement", "success %", "lost success", "bound", "lost value", "bound"]
+
     lines = [header, ["---"] * len(header)]
     for gap in gaps:
         # Physics has no noise level of its own.

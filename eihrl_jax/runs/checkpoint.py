@@ -85,6 +85,7 @@ def restore(folder: pathlib.Path, template: TreeT) -> tuple[int, TreeT] | None:
     steps = _steps(folder)
     if not steps:
         return None
+
     try:
         return steps[-1], read(folder / f"{steps[-1]:012d}", template)
     except StructureError as error:
@@ -138,7 +139,8 @@ def write(
         (hidden / "arrays" / "commit_success.txt").unlink(missing_ok=True)
         for name, text in (files or {}).items():
             (hidden / name).write_text(text)
-        manifest = {"format": _FORMAT, "arrays": describe(tree), "files": _checksums(hidden)}
+        checksums = {name: _checksum(file) for name, file in _files(hidden).items()}
+        manifest = {"format": _FORMAT, "arrays": describe(tree), "files": checksums}
         (hidden / _MANIFEST).write_text(json.dumps(manifest, indent=1))
         # The one moment at which the checkpoint comes to be.
         hidden.rename(path)
@@ -233,9 +235,10 @@ def _clean(folder: pathlib.Path) -> None:
         shutil.rmtree(leftover)
 
 
-def _checksums(folder: pathlib.Path) -> dict[str, str]:
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {path.relative_to(folder).as_posix(): _checksum(path) for path in files}
+def _files(folder: pathlib.Path) -> dict[str, pathlib.Path]:
+    """Returns all files below a folder by their path in it."""
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path for path in paths}
 
 
 def _checksum(path: pathlib.Path) -> str:
@@ -247,6 +250,7 @@ def _manifest(path: pathlib.Path) -> dict[str, Any]:  # JSON
     """Reads what a folder should hold."""
     if not is_complete(path):
         raise base.UserError(f"{path} is no checkpoint: it has no {_MANIFEST}")
+
     try:
         manifest = json.loads((path / _MANIFEST).read_text())
         version = manifest["format"]
@@ -255,6 +259,7 @@ def _manifest(path: pathlib.Path) -> dict[str, Any]:  # JSON
         is_sound = all(isinstance(text, str) for pair in texts for text in pair)
     except (ValueError, KeyError, TypeError, AttributeError):
         is_sound = False
+
     if not is_sound:
         raise base.UserError(f"{path} is damaged: {_MANIFEST} can't be read")
     if version != _FORMAT:
@@ -267,8 +272,7 @@ def _check_files(path: pathlib.Path, files: dict[str, str]) -> None:
         _check_file(path, name, expected)
 
     # A foreign file among the arrays could be read by Orbax as one of them.
-    present = {file.relative_to(path).as_posix() for file in path.rglob("*") if file.is_file()}
-    extra = sorted(present - set(files) - {_MANIFEST})
+    extra = sorted(_files(path).keys() - files.keys() - {_MANIFEST})
     if extra:
         raise base.UserError(f"{path} is damaged: {extra[0]} is not in {_MANIFEST}")
 

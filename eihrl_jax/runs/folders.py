@@ -26,6 +26,7 @@ def reserved(out: pathlib.Path) -> Iterator[None]:
     _check_empty(out)
     out.mkdir(parents=True, exist_ok=True)
     lock = take_lock(out)
+
     try:
         _check_empty(out)  # another may have filled it since
         yield

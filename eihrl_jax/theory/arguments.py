@@ -195,6 +195,7 @@ def table(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> np.ndar
     fits = len(last) == len(shape) and all(
         wanted is None or wanted == size for wanted, size in zip(shape, last, strict=True)
     )
+
     if not fits:
         wanted = ", ".join("any" if size is None else str(size) for size in shape)
         raise ValueError(f"{name} has shape {array.shape}, expected (..., {wanted})")

@@ -156,6 +156,7 @@ def _improve(
 ) -> tuple[Vector, Float[np.ndarray, "... S C"]]:
     """Returns what policy iteration over C choices ends with, in all MDPs at once."""
     num_choices = rewards.shape[-2]
+
     # All MDPs go on until the last of them has settled.
     best = np.zeros(rewards.shape[:-2] + rewards.shape[-1:], np.int64)
     while True:
@@ -163,6 +164,7 @@ def _improve(
         value = _solve(*mix(kernels, rewards, chosen), discount)
         gains = rewards + discount * (kernels @ value[..., None, :, None])[..., 0]
         now = np.take_along_axis(gains, best[..., None, :], -2)[..., 0, :]
+
         # Only what gains more than rounding is changed, else equal choices would never settle.
         margin = 1e-12 * np.maximum(1.0, np.abs(now))
         is_better = gains.max(-2) > now + margin

@@ -180,6 +180,7 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
     view = raster.View(extent=task.extent, pixels=task.pixels, map_radius=task.map_radius)
     gait = subgoals.gait(robot, task.measured, task.step, task.sigma)
     shown = gait.bank.replace(qpos=gait.bank.qpos[: task.num_postures])
+
     return oracle_maze.OracleMaze.of_robot(
         robot,
         _mazes(task, seed),
@@ -236,6 +237,7 @@ def _mazes(task: high_config.Task, seed: int) -> mazes.Maze:
     """Loads the maze of a task, or draws its random rooms."""
     if not task.num_rooms:
         return mazes.load(task.maze, num_decisions=task.num_decisions)
+
     rooms = generators.training_rooms(
         seed,
         task.num_rooms,

@@ -133,21 +133,19 @@ def train_with(trainer: LowTrainer, config: low_config.LowConfig) -> None:
     Raises:
       base.UserError: the run folder is not as it should be.
     """
-    start = None
-    if checkpoint.last_step(config.run / run_folder.CHECKPOINTS) is None:
-        # Once it is begun, the run goes on without the other.
+    start, checkpoints = None, config.run / run_folder.CHECKPOINTS
+    # Once it is begun, the run goes on without the other.
+    if config.start_from is not None and checkpoint.last_step(checkpoints) is None:
         start = _load_start(trainer, config.start_from)
     loop.run(_Job(trainer, config, start), config)
 
 
-def _load_start(trainer: LowTrainer, path: pathlib.Path | None) -> LowState | None:
-    """Loads the last state of the run that another one begins with, if it does.
+def _load_start(trainer: LowTrainer, path: pathlib.Path) -> LowState:
+    """Loads the last state of the run that another one begins with.
 
     Raises:
       base.UserError: there is no checkpoint, or one that is damaged or of another structure.
     """
-    if path is None:
-        return None
     # Shapes are enough to read by; no robot is reset for it.
     shapes = jax.eval_shape(trainer.init, jax.random.key(0))
     restored = checkpoint.restore(path / run_folder.CHECKPOINTS, shapes)

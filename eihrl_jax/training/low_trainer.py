@@ -83,6 +83,7 @@ class LowTrainer:
         key, learner_key, env_key = jax.random.split(key, 3)
         envs = jax.vmap(self._env.reset)(jax.random.split(env_key, self.config.num_envs))
         ctrl = jnp.zeros((self.config.num_envs, self._num_actions))
+
         # The replay takes its rows' shapes from a step that is never made.
         stored = jax.eval_shape(self._step, envs, ctrl)[1]
         return LowState(

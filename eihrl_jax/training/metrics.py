@@ -20,6 +20,7 @@ def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
     """
     # Sums over sums, so that every episode weighs the same, whichever update it ended in.
     episodes = float(np.sum(metrics["episodes"]))
+
     means = {}
     for name, values in sorted(metrics.items(), reverse=True):  # sums of episodes first
         if name.startswith("sum_"):

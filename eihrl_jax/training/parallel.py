@@ -56,9 +56,11 @@ def connect(
                 "num_processes and process_id need a coordinator, such as host:1234"
             )
         return
+
     if coordinator == "auto":
         jax.distributed.initialize()
         return
+
     if num_processes is None or process_id is None:
         raise base.UserError(f"coordinator = {coordinator!r} needs num_processes and process_id")
     if not 0 <= process_id < num_processes:
@@ -117,15 +119,14 @@ def repeated_update(agent: peg_a2c.PegA2C, num: int, mesh: jax.sharding.Mesh) ->
     ) -> tuple[peg_a2c.LearnerState, dict[str, Float[Array, " U"]]]:
         return jax.lax.scan(lambda state, _: agent.update(state), state, length=num)
 
-    everywhere = PartitionSpec()
     # Tracking which values differ between devices would ask every environment for carries that
     # say so from the first step; that the parameters stay equal is tested instead.
     sharded = jax.shard_map(
-        run, mesh=mesh, in_specs=(SPECS,), out_specs=(SPECS, everywhere), check_vma=False
+        run, mesh=mesh, in_specs=(SPECS,), out_specs=(SPECS, _ALIKE), check_vma=False
     )
     # Without `out_shardings` a state that comes back looks different from a first one on one
     # device, and everything would be compiled twice.
-    shardings = (_shardings(mesh), jax.sharding.NamedSharding(mesh, everywhere))
+    shardings = (_shardings(mesh), jax.sharding.NamedSharding(mesh, _ALIKE))
     return jax.jit(sharded, donate_argnums=0, out_shardings=shardings)
 
 
