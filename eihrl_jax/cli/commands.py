@@ -199,6 +199,7 @@ def run(name: str) -> None:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Runs `eihrl <command> [options]`, or lists the commands."""
+    # No parser for so little: all options are those of the commands, see `shell`.
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in ("-h", "--help"):
         print(_list())
@@ -206,10 +207,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     if words[0] == "--version":
         print(f"eihrl_jax {eihrl_jax.__version__}")
         return
-    name = words[0].replace("-", "_")
+
+    name = words[0].replace("-", "_")  # either spelling will do
     if name not in COMMANDS:
         print(f"error: {_unknown(words[0])}", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(2)  # as `shell.fail`, without importing what a command needs
     _run(name, words[1:], f"eihrl {_spelled(name)}")
 
 
@@ -234,6 +236,7 @@ def _list() -> str:
 def _unknown(word: str) -> str:
     """Returns the error for a word that is no command."""
     names = [_spelled(name) for name in COMMANDS]
+    # One suggestion if a name is close, else all there are.
     near = difflib.get_close_matches(word, names, n=1)
     hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(names)}"
     return f"{word!r} is no command; {hint}"

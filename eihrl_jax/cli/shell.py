@@ -45,6 +45,7 @@ def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None
     """
     try:
         config = _parse(command, _in_todays_words(argv, command.earlier), program)
+        # Both before the first computation, with which JAX fixes its devices.
         _set_compilation_cache()
         if command.uses_all_cores:
             parallel.use_cpu_cores()
@@ -52,12 +53,13 @@ def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None
     except base.UserError as error:
         fail(str(error))
     except OSError as error:
+        # Other errors may be ours: they keep their traceback.
         if error.errno not in _PLACE_ERRORS:
             raise
         fail(f"{error.filename}: {error.strerror}")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        sys.exit(130)
+        sys.exit(130)  # 128 + SIGINT, as shells have it
 
 
 def fail(message: str) -> NoReturn:
@@ -71,10 +73,12 @@ def _in_todays_words(argv: Sequence[str], earlier: Mapping[tuple[str, str], str]
     words, option = [], ""
     for word in argv:
         if word.startswith("--"):
+            # `--option=value` is one word, which both replacements concern.
             name, equals, value = word.partition("=")
             option = earlier.get(("", name), name)
             words.append(option + equals + earlier.get((option, value), value))
         else:
+            # Of the last option, which may have several values.
             words.append(earlier.get((option, word), word))
     return words
 
@@ -84,6 +88,7 @@ def _parse(command: command_lib.Command[ConfigT], arguments: list[str], program:
     messages = io.StringIO()
     parsed_type = command.config_type
     parse = functools.partial(tyro.cli, args=arguments, prog=program)
+    # A preset's values are the parser's defaults, so that it must be known beforehand.
     if command.presets:
         default = command.presets[_chosen(command.presets, arguments, command.option)]
         parsed_type = type(default)
@@ -100,6 +105,7 @@ def _parse(command: command_lib.Command[ConfigT], arguments: list[str], program:
 
 
 def _chosen(presets: Mapping[str, object], arguments: list[str], wanted: str) -> str:
+    # Without it the first preset; given twice, the last one, as with every option.
     name = next(iter(presets))
     for argument, following in itertools.pairwise([*arguments, ""]):
         option, _, value = argument.partition("=")
@@ -118,7 +124,7 @@ def _one_line(box: str) -> str:
         if line.startswith(("╭", "╰")):
             continue
         if set(content) == {"─"}:
-            break
+            break  # a rule: what follows repeats the help text
         words += content.split()
     return " ".join(words).removeprefix("Error parsing ")
 

@@ -70,14 +70,15 @@ class FlatConfig(BaselineConfig):
 
     checkpoint_every: limits.UpToMillion = 20  # Its replay is large, its rows are short.
     method: Annotated[str, limits.OneOf(("droq",))] = "droq"
-    warmup_steps: limits.Count = 5_000
+    warmup_steps: limits.Count = 5_000  # DroQ's, as is all of the learner
     iterations_per_round: Annotated[int, limits.Range(1, 10_000)] = 10
-    updates_per_step: Annotated[int, limits.Range(1, 1_000)] = 20
-    capacity: limits.Count = 1_000_000
+    updates_per_step: Annotated[int, limits.Range(1, 1_000)] = 20  # DroQ's
+    capacity: limits.Count = 1_000_000  # all of a run of the default length
     learner: low_config.Droq = dataclasses.field(default_factory=low_config.Droq)
 
     def __post_init__(self) -> None:
         """Checks how the options fit together."""
+        # A step of all environments is written at once, and never around the replay's end.
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
 
     @property

@@ -21,6 +21,8 @@ def apply(config: ConfigT, options: Mapping[str, object]) -> ConfigT:
     >>> changed.task.sigma, changed.task.maze, changed.seed
     (0.0, 'random', 1)
     """
+    # Options of one inner config are gathered first: setting them one by one might break a limit
+    # that relates two of them on the way.
     direct = {name: value for name, value in options.items() if "." not in name}
     inside: dict[str, dict[str, object]] = {}
     for name in options.keys() - direct.keys():

@@ -36,6 +36,7 @@ def in_range(
     """
     # In the order and the words of the message.
     limits = {"at least": low, "at most": high, "greater than": above, "smaller than": below}
+    # Asked for first: where there is no limit, infinity and NaN would pass.
     is_inside = (
         math.isfinite(value)  # nan compares with nothing
         and (low is None or value >= low)
@@ -104,7 +105,7 @@ def divides(name: str, value: int, other_name: str, other: int) -> None:
     ...
     eihrl_jax.base.UserError: num_minibatches = 3 must divide num_envs = 64
     """
-    if value <= 0 or other % value:
+    if value <= 0 or other % value:  # by zero `%` would raise an error of its own
         raise base.UserError(f"{name} = {value} must divide {other_name} = {other}")
 
 
@@ -114,6 +115,7 @@ def measured_alone(measured: object, step: float, sigma: float) -> None:
     Raises:
       UserError: they are.
     """
+    # A default counts as not asked for: a config can't tell the two apart.
     if measured is not None and (step, sigma) != (base.CELL, base.SIGMA):
         raise base.UserError(
             f"step = {step} and sigma = {sigma} can't be set together with measured = {measured}"

@@ -53,6 +53,7 @@ def from_json(config_type: type[ConfigT], text: str, *, source: str = "config") 
 
 def _build(annotation: Hint, value: Json, name: str) -> Any:
     """Turns a JSON value into what its annotation asks for."""
+    # What is made of several classes first: they have no `type` to compare with.
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if annotation is Any:
         return value
@@ -96,6 +97,7 @@ def _build_union(arguments: tuple[Hint, ...], value: Json, name: str) -> Any:
 def _build_tuple(arguments: tuple[Hint, ...], value: Json, name: str) -> tuple[Any, ...]:
     if not isinstance(value, list):
         raise base.UserError(f"{name} = {value!r} must be a list")
+    # `tuple[int, ...]` is as long as the list, `tuple[int, int]` has its own length.
     if len(arguments) == 2 and arguments[1] is Ellipsis:
         arguments = (arguments[0],) * len(value)
     if len(arguments) != len(value):
@@ -109,6 +111,8 @@ def _build_dataclass(annotation: Hint, value: Json, name: str) -> Any:
     if not isinstance(value, dict):
         raise base.UserError(f"{name} = {value!r} must be an object of options")
     hints = typing.get_type_hints(annotation)  # limits left out: the class checks them itself
+
+    # A misspelled option would else keep its default without a word.
     known = [field.name for field in dataclasses.fields(annotation) if field.init]
     unknown = [key for key in value if key not in known]
     if unknown:

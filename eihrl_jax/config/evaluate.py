@@ -55,7 +55,7 @@ class EvaluateConfig:
     high: limits.Several[str] = ("best-random-0",)
     low: tuple[str, ...] = ()
     reward: base.Reward = "sparse"
-    episodes: limits.UpToMillion = 500
+    episodes: limits.UpToMillion = 500  # which the paper's percentages point at, see `statistics`
     seeds: limits.Seeds = (0,)
     out: pathlib.Path = pathlib.Path("runs/evaluation")
     num_decisions: Annotated[int, limits.Range(1, 10_000)] | None = None
@@ -71,6 +71,7 @@ class EvaluateConfig:
         """Checks how the options fit together."""
         checks.measured_alone(self.measured, self.step, self.sigma)
         self._check_movement()
+        # Low levels belong to robots by their order.
         if self.low and len(self.low) != len(self.robot):
             raise base.UserError(
                 f"low names {len(self.low)} policies for {len(self.robot)} robots; "
@@ -80,6 +81,7 @@ class EvaluateConfig:
     def _check_movement(self) -> None:
         """Checks that options of one way of moving don't come without it."""
         for name in ("step", "sigma", "measured"):
+            # What equals its default counts as not asked for.
             value, default = getattr(self, name), getattr(type(self), name)
             if value != default and "oracle" not in self.movement:
                 raise base.UserError(f"{name} = {value} is of oracle movement, not evaluated here")

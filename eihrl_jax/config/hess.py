@@ -21,7 +21,7 @@ class Sac:
 
     hidden: limits.Widths = (256, 256)
     reach: limits.Positive = 20.0
-    learning_rate: limits.Rate = 3e-4
+    learning_rate: limits.Rate = 3e-4  # it, widths and moving average: SAC (Haarnoja et al. 2018)
     temperature: limits.NonNegative = 0.2
     gamma: limits.Fraction = 0.99
     target_rate: limits.Rate = 0.005
@@ -53,7 +53,7 @@ class Ddpg:
     hidden: limits.Widths = (400, 400, 400, 400)
     critic_hidden: limits.Widths = (400, 400, 400, 400, 400)
     learning_rate: limits.Rate = 2e-4
-    half_life: limits.Count = 1_500_000
+    half_life: limits.Count = 1_500_000  # 3,000 episodes of the released code
     critic_decay: limits.Fraction = 1e-5
     max_grad_norm: limits.Positive = 1.0
     gamma: Annotated[float, limits.Range(0.0, below=1.0)] = 0.99
@@ -62,7 +62,7 @@ class Ddpg:
     noise: limits.NonNegative = 0.2
     random_share: limits.Fraction = 0.2
     batch_size: limits.BatchSize = 128
-    updates_per_step: Annotated[float, limits.Range(above=0.0, high=100.0)] = 0.4
+    updates_per_step: Annotated[float, limits.Range(above=0.0, high=100.0)] = 0.4  # 200 / 500
     reward_scale: limits.Positive = 0.1
     arrival: limits.NonNegative = 0.1
 
@@ -91,10 +91,10 @@ class Representation:
     learning_rate: limits.Rate = 1e-4
     batch_size: limits.BatchSize = 100
     num_updates: limits.Count = 50_000
-    every: limits.Count = 50_000
+    every: limits.Count = 50_000  # 100 episodes of the released code, see `HessConfig`
     stability: limits.NonNegative = 0.1
     late_stability: limits.NonNegative = 0.1
-    late_step: limits.CountFromZero = 250_000
+    late_step: limits.CountFromZero = 250_000  # 500 episodes
     anchored_share: Annotated[float, limits.Range(high=1.0, above=0.0)] = 0.3
     anchors: Literal["best", "rest"] = "best"
     stop_error: limits.NonNegative = 2.0
@@ -122,10 +122,10 @@ class Exploration:
     reach: limits.Positive = 20.0
     num_candidates: limits.UpToMillion = 1_000
     miss_weight: limits.NonNegative = 10.0
-    first_step: limits.CountFromZero = 50_000
-    potential_step: limits.CountFromZero = 200_000
+    first_step: limits.CountFromZero = 50_000  # 100 episodes of the released code
+    potential_step: limits.CountFromZero = 200_000  # 400 episodes
     extension: limits.NonNegative = 5.0
-    every: limits.Count = 5_000
+    every: limits.Count = 5_000  # 10 episodes
     success_weight: limits.NonNegative = 10.0
 
 
@@ -156,7 +156,7 @@ class HessConfig(baselines.BaselineConfig):
     period: Annotated[int, limits.Range(1, 10_000)] = 50
     capacity: limits.Count = 1_000
     high_capacity: limits.Count = 48_000
-    random_steps: limits.CountFromZero = 150_000
+    random_steps: limits.CountFromZero = 150_000  # 300 episodes
     costs_time: bool = True
     manager: Sac = Sac()
     controller: Ddpg = Ddpg()
@@ -165,6 +165,7 @@ class HessConfig(baselines.BaselineConfig):
 
     def __post_init__(self) -> None:
         """Checks how the options fit together."""
+        # A round writes one episode of every environment at once.
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
 
     def num_periods(self, episode_steps: int) -> int:

@@ -43,13 +43,13 @@ class Task:
     num_decisions: Annotated[int, limits.Range(1, 10_000)] | None = None
     robot: str = "ant"
     reward: base.Reward = "sparse"
-    extent: float = 9.0
-    pixels: int = 15
+    extent: float = 9.0  # three cells
+    pixels: int = 15  # five per cell
     step: float = base.CELL
     sigma: float = base.SIGMA
     measured: pathlib.Path | None = None
     num_postures: limits.UpToMillion | None = None
-    num_substeps: int = 6
+    num_substeps: int = 6  # of half a unit each at the paper's step
     map_radius: int = 0
     num_rooms: Annotated[int, limits.Range(0, 100_000)] = 0
     room_sides: tuple[RoomSide, RoomSide] = (5, 15)
@@ -57,6 +57,7 @@ class Task:
 
     def __post_init__(self) -> None:
         """Checks how the options fit together."""
+        # Compared with the class's default: a maze that was named must not be passed over.
         if self.num_rooms and self.maze != type(self).maze:
             raise base.UserError(
                 f"maze = {self.maze!r} and num_rooms = {self.num_rooms} exclude each other: "
@@ -85,7 +86,7 @@ class Network:
     """
 
     kind: Literal["patch", "planner"] = "patch"
-    tile: Annotated[int, limits.Range(1, 256)] = 5
+    tile: Annotated[int, limits.Range(1, 256)] = 5  # one cell at five pixels per cell
     tile_features: Annotated[int, limits.Range(1, 1024)] = 16
     hidden: limits.Widths = (128,)
     num_iterations: Annotated[int, limits.Range(0, 1000)] = 24
@@ -179,6 +180,7 @@ class HighConfig:
 
     def __post_init__(self) -> None:
         """Checks how the options fit together."""
+        # Tiles without a rest, or the rim of the view would go unseen.
         if self.network.kind == "patch":
             checks.divides("tile", self.network.tile, "pixels", self.task.pixels)
         # A map and a patch have other shapes.
@@ -188,6 +190,8 @@ class HighConfig:
                 f"{self.task.map_radius}: the planner needs a map, and nothing else takes one"
             )
         # Training is compiled in pieces of `log_every` updates, and stops only between them.
+
+        # The pieces in which training is compiled: all else happens between two of them.
         checks.divides("log_every", self.log_every, "num_updates", self.learner.num_updates)
         checks.divides("log_every", self.log_every, "evaluate_every", self.evaluate_every)
         checks.divides("log_every", self.log_every, "checkpoint_every", self.checkpoint_every)

@@ -31,13 +31,13 @@ class Td3:
       batch_size: transitions per update.
     """
 
-    hidden: limits.Widths = (300, 300)
+    hidden: limits.Widths = (300, 300)  # HIRO's
     reach: limits.Positive = 1.0
     actor_rate: limits.Rate = 1e-4
     critic_rate: limits.Rate = 1e-3
     critic_decay: limits.Fraction = 1e-4
     gamma: limits.Fraction = 0.99
-    target_rate: limits.Rate = 0.005
+    target_rate: limits.Rate = 0.005  # it, noise of targets and its limit: TD3's own
     noise: limits.NonNegative = 1.0
     target_noise: limits.NonNegative = 0.2
     target_clip: limits.NonNegative = 0.5
@@ -67,7 +67,7 @@ class Adjacency:
     num_features: Annotated[int, limits.Range(1, 4096)] = 32
     learning_rate: limits.Rate = 2e-4
     near: limits.Positive = 1.0
-    far: float = 1.2
+    far: float = 1.2  # HRAC's margin of 0.2 above `near`
     batch_size: limits.BatchSize = 64
     epochs: Annotated[int, limits.Range(1, 10_000)] = 25
     max_updates: limits.Count = 50_000
@@ -115,7 +115,7 @@ class Landmarks:
     near: Annotated[float, limits.Range(high=0.0)] = -10.0
     num_first: Annotated[int, limits.Range(1, 2_000)] = 24
     heat: limits.Positive = 0.9
-    rounds: Annotated[int, limits.Range(1, 100)] = 6
+    rounds: Annotated[int, limits.Range(1, 100)] = 6  # 2**6 landmarks
 
     def __post_init__(self) -> None:
         """Checks that there are enough steps to choose from."""
@@ -166,6 +166,7 @@ class HiglConfig(baselines.BaselineConfig):
     num_candidates: Annotated[int, limits.Range(1, 1_000)] = 12
     capacity: limits.Count = 200_000
     high_capacity: limits.Count = 100_000
+    # Controls of the released ant reach to 30; 0.95 looks two periods ahead.
     manager: Td3 = Td3(reach=10.0, gamma=0.99)
     controller: Td3 = Td3(reach=30.0, gamma=0.95)
     adjacency: Adjacency = Adjacency()
@@ -180,10 +181,13 @@ class HiglConfig(baselines.BaselineConfig):
                 f"guidance = {self.guidance!r} must be {GUIDANCE[self.method]!r} with method = "
                 f"{self.method!r}"
             )
+
+        # Each replay takes a whole round at a time, and never around its end.
         subgoals = self.num_envs * self.periods_per_round
         name = "num_envs * periods_per_round"
         checks.divides(f"{name} * period", self.steps_per_round, "capacity", self.capacity)
         checks.divides(name, subgoals, "high_capacity", self.high_capacity)
+        # Pairs of positions come from one round, in which no two are farther apart than its steps.
         if self.guidance != "none":
             # Both ends of a pair lie in one round, see `Adjacency.steps`.
             most = self.periods_per_round * self.period - 1

@@ -116,10 +116,11 @@ def dataclass(config_type: type[ConfigT]) -> type[ConfigT]:
     check_together = getattr(config_type, "__post_init__", None)
 
     def check_all(self: object) -> None:
-        check(self)
+        check(self)  # first, so that relations are between values inside their own limits
         if check_together is not None:
             check_together(self)
 
+    # Set before the class becomes a dataclass, whose `__init__` looks for it then.
     config_type.__post_init__ = check_all  # pyright: ignore[reportAttributeAccessIssue]
     return dataclasses.dataclass(frozen=True, kw_only=True)(config_type)
 
@@ -151,6 +152,7 @@ def _check_value(name: str, value: Any, annotation: Any) -> None:
     """Checks a value, or the elements of a tuple; types are left to whoever made the value."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is Annotated:
+        # `Annotated` may carry what other libraries read; that is passed over.
         inner, *markers = arguments
         for marker in markers:
             if isinstance(marker, Range | OneOf | Distinct):
@@ -159,6 +161,7 @@ def _check_value(name: str, value: Any, annotation: Any) -> None:
     elif origin is Literal:
         checks.one_of(name, value, arguments)
     elif origin is tuple:
+        # `tuple[int, ...]` has one kind for all elements.
         kinds = arguments[:1] * len(value) if arguments[1:] == (...,) else arguments
         for item, kind in zip(value, kinds, strict=True):
             _check_value(name, item, kind)

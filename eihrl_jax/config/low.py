@@ -45,7 +45,7 @@ class LowReward:
       fall_cost: what a fall costs besides the end of the episode, which it must end; 0 in eq. 1.
     """
 
-    scale: limits.Positive = 3.0
+    scale: limits.Positive = 3.0  # paper, Table 4
     lateral_weight: Annotated[float, limits.Range(0.0, 10.0)] = 0.0
     beyond_cell: Annotated[float, limits.Range(-1.0, 1.0)] = 1.0
     is_paced: bool = False
@@ -74,15 +74,15 @@ class Droq:
     """
 
     hidden: tuple[Annotated[int, limits.Range(2, 4096)], ...] = (256, 256)
-    num_critics: Annotated[int, limits.Range(1, 100)] = 2
-    dropout: Annotated[float, limits.Range(0.0, below=1.0)] = 0.01
+    num_critics: Annotated[int, limits.Range(1, 100)] = 2  # REDQ's ten, less what dropout replaces
+    dropout: Annotated[float, limits.Range(0.0, below=1.0)] = 0.01  # the ant's in DroQ's paper
     learning_rate: limits.Rate = 3e-4
     learning_rate_half_life: limits.Count | None = None
     target_rate: limits.Rate = 0.005
     average_rate: limits.Rate = 1.0
     target_entropy: Annotated[float, limits.Range(-10.0, 10.0)] = -0.5
     temperature: limits.Positive = 1.0
-    actor_period: Annotated[int, limits.Range(1, 1000)] = 20
+    actor_period: Annotated[int, limits.Range(1, 1000)] = 20  # once per step in the paper's preset
     batch_size: limits.BatchSize = 256
     gamma: limits.Fraction = 0.99
 
@@ -141,11 +141,11 @@ class LowConfig:
     num_iterations: limits.Count = 400_000
     warmup_iterations: limits.Count = 5_000
     updates_per_iteration: Annotated[int, limits.Range(1, 1000)] = 20
-    capacity: limits.Count = 400_000
+    capacity: limits.Count = 400_000  # the whole run
     relabel: Relabel = "never"
     relabel_share: limits.Fraction = 1.0
     num_rooms: Annotated[int, limits.Range(0, 4096)] = 0
-    episode_steps: Annotated[int, limits.Range(1, 100_000)] = 500
+    episode_steps: Annotated[int, limits.Range(1, 100_000)] = 500  # 20 subgoals of the ant
     ends_at_fall: bool = True
     low_input: LowInput = LowInput()
     reward: LowReward = LowReward()
@@ -157,6 +157,7 @@ class LowConfig:
 
     def __post_init__(self) -> None:
         """Checks how the options fit together."""
+        # A step of all robots is one row of the replay; files are written between compiled pieces.
         checks.divides("num_envs", self.num_envs, "capacity", self.capacity)
         # Training is compiled in pieces of `log_every` iterations, and stops only between them.
         checks.divides("log_every", self.log_every, "num_iterations", self.num_iterations)

@@ -33,9 +33,9 @@ def low_best() -> low_config.LowConfig:
         preset="best",
         # 640,000 control steps in all, where the paper's preset takes 400,000 of one robot.
         num_envs=64,
-        num_iterations=10_000,
+        num_iterations=10_000,  # 640,000 steps of a robot, all of which the replay keeps
         warmup_iterations=200,
-        updates_per_iteration=8,
+        updates_per_iteration=8,  # for 64 steps, where DroQ has 20 for one
         capacity=640_000,
         relabel_share=0.5,
         num_rooms=256,
@@ -63,7 +63,7 @@ def low_point() -> low_config.LowConfig:
         preset="point",
         robot="point",
         num_iterations=2_000,
-        capacity=128_000,
+        capacity=128_000,  # the whole run
         num_rooms=0,  # The point doesn't see walls, and would learn to expect them.
         droq=dataclasses.replace(low_best().droq, hidden=(64, 64)),
     )
@@ -75,7 +75,7 @@ def low_swimmer() -> low_config.LowConfig:
         low_restarting(),
         preset="swimmer",
         robot="swimmer",
-        num_iterations=15_000,
+        num_iterations=15_000,  # 960,000 steps, of which the replay keeps the last two thirds
         checkpoint_every=2_500,
     )
 
@@ -93,8 +93,8 @@ def low_humanoid() -> low_config.LowConfig:
         preset="humanoid",
         robot="humanoid",
         num_iterations=75_000,
-        capacity=1_280_000,
-        episode_steps=1_000,
+        capacity=1_280_000,  # the last quarter of 4.8 million steps
+        episode_steps=1_000,  # five of its subgoals
         reward=dataclasses.replace(best.reward, fall_cost=20.0, is_paced=True),
         droq=dataclasses.replace(best.droq, average_rate=0.0005, learning_rate_half_life=150_000),
         checkpoint_every=5_000,
@@ -130,12 +130,13 @@ def high_best() -> high_config.HighConfig:
     """
     return high_config.HighConfig(
         preset="best",
+        # Five pixels per cell, and a map of 17 x 17 cells.
         task=high_config.Task(extent=15.0, pixels=25, map_radius=8),
         network=high_config.Network(kind="planner"),
         learner=high_config.Learner(
             num_workers=512,
             window=8,
-            num_updates=400,
+            num_updates=400,  # 1.6 million decisions: 512 workers, 8 in a window
             gamma=0.94,
             optimiser="adam",
             learning_rate=5e-3,
@@ -193,7 +194,7 @@ def hiro() -> higl_config.HiglConfig:
 
 def hess() -> hess_config.HessConfig:
     """HESS, as released but for what its paper says better (Li et al. 2021)."""
-    return hess_config.HessConfig(log_rounds=1)
+    return hess_config.HessConfig(log_rounds=1)  # a round is a whole episode
 
 
 BASELINES: dict[str, baselines_config.BaselineConfig] = {

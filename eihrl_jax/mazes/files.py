@@ -10,7 +10,7 @@ from eihrl_jax import base
 from eihrl_jax.mazes import layouts, parsing
 from eihrl_jax.mazes.maze import Maze
 
-_TEXT_AND_LIMIT = {
+_TEXT_AND_LIMIT = {  # limits in subgoals (paper, Table 3 over 25)
     "random": (layouts.RANDOM, 24),
     "u": (layouts.U, 24),
     "s": (layouts.S, 40),
@@ -62,10 +62,11 @@ def _read(path: pathlib.Path) -> str:
             raise base.UserError(f"{maze}: neither a file nor one of {', '.join(NAMES)}")
         if not path.is_file():
             raise base.UserError(f"{maze}: not a file")
+        # Asked before it is read: any file may have been named by mistake.
         size = path.stat().st_size
         if size > _MAX_BYTES:
             raise base.UserError(f"{maze}: {size} bytes, at most {_MAX_BYTES}")
-        return path.read_text(encoding="utf-8-sig")
+        return path.read_text(encoding="utf-8-sig")  # some editors write a byte order mark
     except OSError as error:
         raise base.UserError(f"{maze}: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -59,6 +59,7 @@ def random_room(
     rng = np.random.default_rng(seed)
     places: list[paths.Cell] = []
     grid = np.full((rows + 2, columns + 2), "#")
+
     # Drawn anew where no free cell is left at the ring, so that no door could be there.
     while not places:
         free = paths.largest_part(~_straight_walls(rng, rows, columns, wall_share))
@@ -107,6 +108,7 @@ def training_rooms(
     checks.in_range("num", num, 1, MAX_ROOMS)
     checks.in_range("wall_share", wall_share, 0.0, MAX_WALL_SHARE)
 
+    # One stream for the sizes of a lot's rooms; what is in a room comes from its own seed.
     first = FIRST_SEED + seed * MAX_ROOMS
     rng = np.random.default_rng(first)
     least, greatest = sides
@@ -140,6 +142,7 @@ def goals_anywhere(maze: Maze) -> Maze:
     Source: the training of HIRO, HRAC and HIGL, whose goals are drawn all over the maze (Nachum et
       al. 2018).
     """
+    # Doors are ends of ways and lead nowhere, so they are wall to all places but themselves.
     door, start = np.asarray(maze.door), np.asarray(maze.start)
     wall = np.asarray(maze.wall) | door
     places = paths.cells(paths.distances(~wall, paths.cells(start)) >= 0)
@@ -174,10 +177,12 @@ def _straight_walls(
     wall = np.zeros((rows, columns), bool)
     while True:
         is_row = rng.random() < 0.5
+        # At most half as long as the room, so that one wall alone can't divide it.
         longest = min(MAX_LENGTH, max(1, (columns if is_row else rows) // 2))
         length = rng.integers(1, longest + 1)
         i, j = rng.integers(rows), rng.integers(columns)
 
+        # What would reach beyond the room is cut off by the slice.
         more = wall.copy()
         if is_row:
             more[i, j : j + length] = True
@@ -190,6 +195,7 @@ def _straight_walls(
 
 def _door_places(free: Bool[np.ndarray, "R C"]) -> list[paths.Cell]:
     """Lists the cells of the outer ring beside a free cell."""
+    # Corners never are: their two neighbours are ring as well.
     beside = np.zeros_like(free)
     beside[0], beside[-1] = free[1], free[-2]
     beside[:, 0] |= free[:, 1]

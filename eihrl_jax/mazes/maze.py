@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Num, UInt8
 
 from eihrl_jax import base
 
-MAX_GOALS = 9
+MAX_GOALS = 9  # a goal is one digit in the text
 
 WALL = 128
 """Code of a wall cell in `codes`."""
@@ -59,6 +59,7 @@ def cell_xy(ij: Num[Array, "2"]) -> Float[Array, "2"]:
 
 def is_wall(maze: Maze, xy: Float[Array, "2"]) -> Bool[Array, ""]:
     """Returns whether a position is inside a wall; everything outside the grid is."""
+    # A negative index must not count from the other end: it lies outside as well.
     i, j = cell_ij(xy)
     return maze.wall.at[i, j].get(mode="fill", fill_value=True, wrap_negative_indices=False)
 
@@ -108,6 +109,7 @@ def goal_centres(maze: Maze) -> Float[Array, "9 2"]:
     rows, columns = maze.goal.shape
     ij = jnp.stack(jnp.mgrid[:rows, :columns])
 
+    # Sums under masks, since the number of a region's cells is data, not a shape.
     is_in = maze.goal[None] == jnp.arange(1, MAX_GOALS + 1, dtype=jnp.int32)[:, None, None]
     count = is_in.sum((1, 2), dtype=jnp.float32)
     total_ij = jnp.where(is_in[:, None], ij[None], 0).sum((2, 3), dtype=jnp.float32)

@@ -50,6 +50,7 @@ def parse(
     _check_cells(grid, name)
     _check_ways(grid, name)
 
+    # Doors are wall until an episode draws one of them.
     is_door = grid == "D"
     goal = np.where(np.isin(grid, list(DIGITS)), grid, "0").astype(np.int32)
     fields = {
@@ -59,7 +60,7 @@ def parse(
         "door": is_door,
         "start_jitter": np.float32(start_jitter),
         "num_goals": np.int32(max(goal.max(), int(is_door.any()))),
-        "num_decisions": np.int32(num_decisions or 0),
+        "num_decisions": np.int32(num_decisions or 0),  # 0 until the tour is known, below
     }
     # `jnp.asarray` of each would compile a program for every shape of a maze.
     maze = Maze(**jax.device_put(fields))
@@ -78,6 +79,7 @@ def _grid(text: str, name: str) -> np.ndarray:
     if not lines:
         raise base.UserError(f"{name}: the text is empty")
 
+    # Characters before lengths: a tab, say, is the likelier cause of a line that is too short.
     for i, line in enumerate(lines):
         for j, character in enumerate(line):
             if character not in "#.SD" + DIGITS:
@@ -118,6 +120,7 @@ def _check_cells(grid: np.ndarray, name: str) -> None:
             f"{name}: goal 1 at {_where(paths.cells(grid == '1')[0])} beside door candidates; "
             "the open door is goal 1, so regions are numbered from 2"
         )
+    # The first number that isn't the next one is named; there may be more of them behind it.
     for number, expected in zip(present, range(2 if has_door else 1, MAX_GOALS + 1), strict=False):
         if number != expected:
             where = _where(paths.cells(grid == str(number))[0])

@@ -55,7 +55,7 @@ def arrivals(maze: Maze, start: Cell | None = None, door: Cell | None = None) ->
     Returns:
       Number of moves per goal, in the order of the goals; -1 where there is no way.
     """
-    free, goal = _free(maze), np.array(maze.goal)
+    free, goal = _free(maze), np.array(maze.goal)  # copies, in which the door is opened
     if door is not None:
         free[door], goal[door] = True, 1
     sources = cells(np.asarray(maze.start)) if start is None else [start]
@@ -73,6 +73,7 @@ def longest_tour(maze: Maze) -> int:
     Args:
       maze: one maze, no door drawn, in which every goal and door can be reached from every start.
     """
+    # From any start to the middle one, then on as from there: no shorter than the way itself.
     starts = np.argwhere(np.asarray(maze.start))
     centre = np.abs(starts - starts.mean(0)).sum(1).argmin()
     middle = (int(starts[centre, 0]), int(starts[centre, 1]))
@@ -86,6 +87,7 @@ def longest_tour(maze: Maze) -> int:
 
 def way_to_door(reached: Int[np.ndarray, "R C"], door: Cell) -> int:
     """Returns the moves to a door, given those to all other cells; -1 where there is no way."""
+    # Doors lie in the ring, where a neighbour may be beyond the grid: padded as out of reach.
     around = np.pad(reached, 1, constant_values=-1)
     i, j = door[0] + 1, door[1] + 1
     nearest = [int(n) for n in around[[i - 1, i + 1, i, i], [j, j, j - 1, j + 1]] if n >= 0]
@@ -111,6 +113,7 @@ def _moves(
     width, size = padded.shape[1], padded.size
     is_open, goals = padded.ravel().tolist(), np.pad(goal, 1).ravel().tolist()
 
+    # Flat lists of places: single elements of arrays would be read much more slowly.
     reached = [(i + 1) * width + j + 1 for i, j in sources]
     moves = [-1] * (size * (num_goals + 1))
     for place in reached:

@@ -13,7 +13,8 @@ ROBOT = robot.Robot(
     steps_per_subgoal=25,  # Paper: Table 4.
     reach=1.25,
     body_radius=0.7,
-    healthy_z=(0.2, 1.0),
+    healthy_z=(0.2, 1.0),  # as Gym's ant
+    # Hip and ankle of four legs: a quarter turn puts each leg in the place of the next.
     symmetry=symmetry.Symmetry(
         num_turns=4,
         turn_joints=(3, -4, 5, 6, 7, -8, 1, 2),

@@ -63,6 +63,7 @@ def read(path: pathlib.Path) -> Robot:
         raise base.UserError(f"robot {str(path)!r} is no TOML: {error}") from None
 
     try:
+        # By way of JSON, so that descriptions are checked by what checks configs.
         robot = codec.from_json(Robot, json.dumps(values), source="description")
     except (base.UserError, TypeError) as error:  # JSON has no dates
         raise base.UserError(f"robot {str(path)!r}: {error}") from None

@@ -13,6 +13,7 @@ ROBOT = robot.Robot(
     steps_per_subgoal=25,
     reach=0.5,
     body_radius=0.5,
+    # No joints to rename; of its two pushes that along y turns round.
     symmetry=symmetry.Symmetry(mirror_joints=(), mirror_controls=(1, -2)),
 )
 """Terminal speed is 2 units per second, so one cell takes at least 1.5 s of a subgoal's 2.5 s."""

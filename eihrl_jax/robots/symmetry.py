@@ -86,10 +86,12 @@ def _check_group(what: str, num_turns: int, turn: SignedOrder, mirror: SignedOrd
     def leads_back(*orders: SignedOrder) -> bool:
         return np.array_equal(functools.reduce(compose, orders, identity), identity)
 
+    # Renaming a part and renaming it back must agree, or a variant would have two meanings.
     if num_turns > 1 and not leads_back(*[turn] * num_turns):
         raise base.UserError(f"turn_{what} = {turn}: {num_turns} turns don't lead back")
     if mirror is not None and not leads_back(mirror, mirror):
         raise base.UserError(f"mirror_{what} = {mirror}: two reflections don't lead back")
+
     # The relation of a dihedral group: a turn between two reflections is the turn back.
     if num_turns > 1 and mirror is not None and not leads_back(mirror, turn, mirror, turn):
         raise base.UserError(
@@ -134,5 +136,5 @@ def inverse(
     order: Int[np.ndarray, "V J"], signs: Float[np.ndarray, "V J"]
 ) -> tuple[Int[np.ndarray, "V J"], Float[np.ndarray, "V J"]]:
     """Returns the tables that undo the given ones."""
-    back = np.argsort(order, axis=1)
+    back = np.argsort(order, axis=1)  # which inverts a permutation
     return back, np.take_along_axis(signs, back, axis=1)
