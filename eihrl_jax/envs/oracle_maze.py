@@ -134,6 +134,7 @@ class OracleMaze:
         self.view = view
         self.movement = movement
         self.reward: base.Reward = reward
+        self._num_postures = jnp.int32(silhouettes.shape[0])
         pack = functools.partial(raster.pack, view=view)
         self._silhouettes = jax.vmap(pack)(jnp.asarray(silhouettes))
 
@@ -182,7 +183,7 @@ class OracleMaze:
         inner = OracleMazeState(
             nav=nav,
             xy=xy,
-            posture=self._pick_posture(jax.random.uniform(posture_key)),
+            posture=task.pick(jax.random.uniform(posture_key), self._num_postures),
             total_reward=jnp.float32(0.0),
         )
         return self._state(inner, base.Outcome.of_reset(), next_key)
@@ -203,7 +204,7 @@ class OracleMaze:
         inner = OracleMazeState(
             nav=nav,
             xy=path_xy[-1],
-            posture=self._pick_posture(0.5 * (draws[2] + 1.0)),
+            posture=task.pick(0.5 * (draws[2] + 1.0), self._num_postures),
             total_reward=inner.total_reward + outcome.reward,
         )
         return self._state(inner, outcome, next_key)
@@ -252,10 +253,6 @@ class OracleMaze:
         """Returns whether one of the ends of the body's leading edge would be in a wall."""
         one, other = task.code_at(self.table, nav, edge)
         return (one | other) >= maze_lib.WALL
-
-    def _pick_posture(self, uniform: Float[Array, ""]) -> Int[Array, ""]:
-        """Turns a uniform draw from [0, 1) into one of the silhouettes, all equally likely."""
-        return task.pick(uniform, jnp.int32(self._silhouettes.shape[0]))
 
     def _state(
         self, inner: OracleMazeState, outcome: base.Outcome, key: Key[Array, ""]

@@ -44,9 +44,19 @@ class Table:
 
     def markdown(self) -> str:
         """Returns the table as Markdown, its title in bold."""
-        rule = ["---"] * len(self.header)
-        lines = [f"| {' | '.join(row)} |" for row in [self.header, rule, *self.rows]]
-        return "\n".join([f"**{self.title}**", "", *lines])
+        return f"**{self.title}**\n\n{markdown_grid(self.header, self.rows)}"
+
+
+def markdown_grid(header: list[str], rows: Iterable[list[str]]) -> str:
+    """Returns names of columns, and texts below them, as a Markdown table without title.
+
+    >>> print(markdown_grid(["maze", "success %"], [["u", "98.2"]]))
+    | maze | success % |
+    | --- | --- |
+    | u | 98.2 |
+    """
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def percent(success: statistics.Success) -> str:

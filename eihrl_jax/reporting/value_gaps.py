@@ -8,6 +8,7 @@ import numpy as np
 from eihrl_jax import mazes
 from eihrl_jax.config import value_gap as gap_config
 from eihrl_jax.drawing import curves, palette
+from eihrl_jax.evaluation import tables
 from eihrl_jax.evaluation import value_gap as gap_lib
 from eihrl_jax.runs import folders, versions
 from eihrl_jax.theory import displacement, gaussians
@@ -78,23 +79,20 @@ def markdown(gaps: list[gap_lib.Gap]) -> str:
     """
     # Two columns `bound`, each of the loss on its left.
     header = ["maze", "movement", "success %", "lost success", "bound", "lost value", "bound"]
-
-    lines = [header, ["---"] * len(header)]
-    for gap in gaps:
-        # Physics has no noise level of its own.
-        how = "walking" if gap.sigma is None else f"sigma {gap.sigma:g}"
-        lines.append(
-            [
-                gap.maze,
-                f"{gap.movement}, {how}",
-                f"{100.0 * gap.success:.1f}",
-                f"{100.0 * gap.success_gap:.1f} ± {100.0 * gap.success_margin:.1f}",
-                _percent(gap.success_bound),
-                f"{100.0 * gap.value_gap:.1f} ± {100.0 * gap.value_margin:.1f}",
-                _percent(gap.value_bound),
-            ]
-        )
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    rows = [
+        [
+            gap.maze,
+            # Physics has no noise level of its own.
+            f"{gap.movement}, {'walking' if gap.sigma is None else f'sigma {gap.sigma:g}'}",
+            f"{100.0 * gap.success:.1f}",
+            f"{100.0 * gap.success_gap:.1f} ± {100.0 * gap.success_margin:.1f}",
+            _percent(gap.success_bound),
+            f"{100.0 * gap.value_gap:.1f} ± {100.0 * gap.value_margin:.1f}",
+            _percent(gap.value_bound),
+        ]
+        for gap in gaps
+    ]
+    return tables.markdown_grid(header, rows) + "\n"
 
 
 def _percent(bound: float) -> str:

@@ -11,6 +11,7 @@ from eihrl_jax import base
 from eihrl_jax.config import changes, checks, limits, presets
 from eihrl_jax.config import low as low_config
 from eihrl_jax.drawing import curves
+from eihrl_jax.evaluation import tables
 from eihrl_jax.studies import ablation
 from eihrl_jax.training import low
 
@@ -84,12 +85,12 @@ def compare(config: AblationConfig) -> str:
     )
 
     header = ["changed", "runs", "distance", "along", "std", "sideways std", "falls per 1,000"]
-    lines = [header, ["---"] * len(header)]
+    rows = []
     for variant, files in finished.items():
         ends = [[curve[-1, 1] for curve in drawn[variant]]]
         ends += [[_column(file, name)[-1, 1] for file in files] for name in _SHOWN]
-        lines.append([variant, str(len(files)), *map(_spread, ends)])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+        rows.append([variant, str(len(files)), *map(_spread, ends)])
+    return tables.markdown_grid(header, rows) + "\n"
 
 
 def error_curve(metrics: pathlib.Path) -> Float[np.ndarray, "N 2"]:
