@@ -78,9 +78,12 @@ def measure_low() -> Command:
 
 def report() -> Command:
     """Puts everything that the paper reports on one page."""
+    from eihrl_jax.config import report as report_config
     from eihrl_jax.reporting import report as report_lib
 
-    return Command(report_lib.main, report_lib.ReportConfig, uses_all_cores=True, earlier=EARLIER)
+    return Command(
+        report_lib.main, report_config.ReportConfig, uses_all_cores=True, earlier=EARLIER
+    )
 
 
 def demo() -> Command:

@@ -154,8 +154,10 @@ def section(
         tasks = [task for pair in pairs if (task := Task(folder, *pair)).finished]
         if not tasks:
             raise base.UserError(f"baselines = {folder} holds no <method>-<maze>-<seed>")
+
         pictures = [picture for task in tasks for picture in _pictures(task, long, out)]
 
+        # A table each for success and for what is paid, in this order.
         ends: dict[tuple[base.Reward, str], Ends] = {}
         for reward in base.REWARDS:
             here = [task for task in tasks if task.reward == reward]
@@ -195,6 +197,8 @@ def _where_ours_is_reached(all_ends: dict[tuple[base.Reward, str], Ends]) -> tab
         for maze, by_label in ends.items():
             if _OURS not in by_label:
                 continue
+
+            # By the seeds that speak most against us, as three seeds say little of a mean.
             worst = by_label[_OURS][:, 1].min()
             reached = [
                 f"{label} {_spread(end, y)}"

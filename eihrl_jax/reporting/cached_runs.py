@@ -37,8 +37,9 @@ def name(what: str, maze: str, reward: base.Reward, seed: int) -> str:
 
 def seeds_of(folder: pathlib.Path, run: str) -> list[pathlib.Path]:
     """Lists the folders `<run>-<seed>` that there are, by seed."""
-    found = {path.name.removeprefix(f"{run}-"): path for path in folder.glob(f"{run}-*")}
-    return [found[seed] for seed in sorted(filter(str.isdecimal, found), key=int)]
+    # What follows may also be another word: `higl-u-dense-0` is no seed of `higl-u`.
+    runs = {path.name.removeprefix(f"{run}-"): path for path in folder.glob(f"{run}-*")}
+    return [runs[seed] for seed in sorted(filter(str.isdecimal, runs), key=int)]
 
 
 def checked(options: RunT, train: Callable[[RunT], object]) -> Callable[[], None]:
@@ -62,7 +63,7 @@ def finish(options: RunT, train: Callable[[RunT], object]) -> None:
 
 
 def is_finished(options: Run) -> bool:
-    """Tells whether a run has its policy, and not one from before it was extended.
+    """Returns whether a run has its policy, and not one from before it was extended.
 
     Raises:
       base.UserError: it was trained with other options than it would be now, or is damaged.
@@ -70,12 +71,16 @@ def is_finished(options: Run) -> bool:
     policy = options.run / policies.FOLDER
     if not checkpoint.is_complete(policy):
         return False
+
     file = options.run / "config.json"
     if not file.is_file():
         raise base.UserError(f"{options.run} has a policy, but no {file.name}")
-    found = codec.from_json(type(options), file.read_text(), source=str(file))
-    if dataclasses.replace(found, run=options.run, resume=True) != options:
+    trained = codec.from_json(type(options), file.read_text(), source=str(file))
+    # The folder may have been moved since, and a run be begun with or without --resume.
+    if dataclasses.replace(trained, run=options.run, resume=True) != options:
         raise base.UserError(f"{options.run} was trained with other options: name another --out")
+
+    # A run that was extended and killed has its new options, and still its old policy.
     unit, length = _length(options)
     meta = json.loads(checkpoint.read_file(policy, "meta.json"))
     return policies.entry(meta, unit, policy) >= length
@@ -102,9 +107,10 @@ def evaluated(options: evaluate_config.EvaluateConfig) -> tuple[results.Cell, ..
         shutil.rmtree(partial, ignore_errors=True)
         evaluations.evaluate(dataclasses.replace(options, out=partial))
         partial.rename(options.out)
-    found = results.load(options.out / "eval.json")
+
+    evaluation = results.load(options.out / "eval.json")
     asked = json.loads(codec.to_json(options))
-    about = found.about if isinstance(found.about, dict) else {}
+    about = evaluation.about if isinstance(evaluation.about, dict) else {}
     if {**about.get("config", {}), "out": ""} != {**asked, "out": ""}:
         raise base.UserError(f"{options.out} was evaluated with other options: name another --out")
-    return found.cells
+    return evaluation.cells

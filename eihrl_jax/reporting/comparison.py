@@ -80,6 +80,7 @@ def _success(
     """Compares success; `columns` are what `column_of` tells cells apart by, and their heads."""
     body = []
     for row in rows:
+        # What was published has no episodes of which a mean could be taken.
         entries = [
             mean([cell for cell in row.cells if column_of(cell) == column])
             if row.published is None
@@ -113,9 +114,11 @@ def mean(cells: Sequence[results.Cell]) -> str:
 
     Where there is one high level, uniform or learned, nothing is known about the deviation.
     """
+    # First over mazes or episodes of each high level: what is compared are trainings.
     by_high: dict[str, list[float]] = {}
     for cell in cells:
         by_high.setdefault(cell.agent.high, []).append(cell.success.rate)
+
     if not by_high:
         return "-"
 

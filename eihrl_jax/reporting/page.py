@@ -105,6 +105,7 @@ def _table(table: tables_lib.Table) -> str:
     rows = []
     for row in table.rows:
         # The paper's figures look different from those that were measured here.
+        # The paper's own figures are set apart.
         kind = ' class="published"' if row[0].startswith("paper") else ""
         cells = "".join(f"<td>{html.escape(text)}</td>" for text in row)
         rows.append(f"<tr{kind}>{cells}</tr>")
@@ -118,6 +119,7 @@ def _table(table: tables_lib.Table) -> str:
 
 def _figure(picture: Picture) -> str:
     # Inside the page, which then can be sent and kept as one file.
+    # The picture itself stands in the page, so that it is one file.
     data = base64.b64encode(picture.path.read_bytes()).decode()
     kind, caption = _TYPES[picture.path.suffix], html.escape(picture.caption, quote=True)
     return (

@@ -8,10 +8,12 @@ from collections.abc import Callable, Sequence
 from eihrl_jax import base
 from eihrl_jax.config import changes
 from eihrl_jax.config import evaluate as evaluate_config
+from eihrl_jax.config import report as report_config
 from eihrl_jax.drawing import curves
 from eihrl_jax.evaluation import paper, results, tables
 from eihrl_jax.mazes import generators
 from eihrl_jax.reporting import baseline_curves, cached_runs, comparison, page
+from eihrl_jax.runs import policies
 
 TABLE1 = tuple(tables.TABLE1_MAZES)
 TRAINED = ("u", "s", "spiral")
@@ -33,29 +35,20 @@ ROOM_SIDE = 9
 Cells = tuple[results.Cell, ...]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class Runs:
-    """The high levels, and the evaluations of them that are there or are made now.
+    """The high levels of a report, and the evaluations of them that are there or are made now.
 
     Attributes:
-      folder: holds the high levels, `<preset>-<maze>-<seed>` each.
-      out: folder of the report.
-      movement: those that are evaluated.
-      episodes: per maze and high level.
-      slow_episodes: the same where swimmer or humanoid walk.
-      num_rooms: generated rooms.
-      ablations: folders that `ablate_high` made.
-      baselines: folder of runs of `train_baseline`, `<method>-<maze>[-dense]-<seed>` each.
+      options: of the report.
     """
 
-    folder: pathlib.Path
-    out: pathlib.Path
-    movement: tuple[base.MovementName, ...]
-    episodes: int
-    slow_episodes: int
-    num_rooms: int
-    ablations: tuple[pathlib.Path, ...] = ()
-    baselines: pathlib.Path | None = None
+    options: report_config.ReportConfig
+
+    @property
+    def folder(self) -> pathlib.Path:
+        """Holds the high levels, `<preset>-<maze>-<seed>` each."""
+        return self.options.policies or policies.PRETRAINED
 
     def highs(self, trained: str) -> tuple[str, ...]:
         """Lists the high levels trained alike, e.g. "best-random", one per seed."""
@@ -79,23 +72,23 @@ class Runs:
         if not high:
             return ()
         own = evaluate_config.EvaluateConfig(
-            episodes=self.episodes,
-            movement=self.movement,
+            episodes=self.options.episodes,
+            movement=self.options.movement,
             high=high,
-            out=self.out / "evaluations" / name,
+            out=self.options.out / "evaluations" / name,
         )
         return cached_runs.evaluated(changes.apply(own, options))
 
     def higl(self, name: str, trained_in: str, mazes: tuple[str, ...]) -> Cells:
         """Returns the results of HIGL, see `evaluate`; none where nobody walks."""
-        if "full" not in self.movement:
+        if "full" not in self.options.movement:
             return ()
         highs = self.highs(f"higl-{trained_in}")
         return self.evaluate(name, highs, mazes=mazes, movement=("full",))
 
     def picture(self, name: str, pattern: str, caption: str) -> list[page.Picture]:
         """Returns the first picture of an evaluation whose name fits, if there is one."""
-        paths = sorted((self.out / "evaluations" / name).glob(pattern))
+        paths = sorted((self.options.out / "evaluations" / name).glob(pattern))
         return [page.Picture(path, caption) for path in paths[:1]]
 
 
@@ -132,6 +125,7 @@ def table1(runs: Runs) -> page.Section:
 
 def trained(runs: Runs) -> page.Section:
     """Trained in the maze itself."""
+    # Each maze has high levels of its own, so it is an evaluation of its own.
     evaluated = {
         PRESETS[preset]: [
             cell
@@ -143,6 +137,7 @@ def trained(runs: Runs) -> page.Section:
         for preset in ("best", "paper")
     }
     rows = comparison.by_movement(evaluated)
+
     return page.Section(
         title="Trained in the maze itself",
         text="U, S and Spiral, with the time limits of the paper's Table 3.",
@@ -166,16 +161,17 @@ def table2(runs: Runs) -> page.Section:
     evaluated: dict[str, Sequence[results.Cell]] = {
         PRESETS[preset]: [
             cell
-            for movement, robot in itertools.product(runs.movement, ROBOTS)
+            for movement, robot in itertools.product(runs.options.movement, ROBOTS)
+            # One evaluation each, as swimmer and humanoid walk fewer episodes.
             for cell in runs.evaluate(
                 f"table2-{preset}-{robot}-{movement}",
                 runs.highs(f"{preset}-u"),
                 mazes=("u",),
                 robot=(robot,),
                 movement=(movement,),
-                episodes=runs.slow_episodes
+                episodes=runs.options.slow_episodes
                 if movement == "full" and robot in SLOW
-                else runs.episodes,
+                else runs.options.episodes,
             )
         ]
         for preset in ("best", "paper")
@@ -191,7 +187,7 @@ def table2(runs: Runs) -> page.Section:
         title="Zero-shot robots (Table 2)",
         text="Trained in the U-shaped maze as an ant, then unchanged as other robots. Who sees "
         "postures was shown the ant's and is now shown the others'; preset best sees no robot. "
-        f"Swimmer and humanoid walk {runs.slow_episodes} episodes per high level.",
+        f"Swimmer and humanoid walk {runs.options.slow_episodes} episodes per high level.",
         tables=[comparison.success_by_robot("Table 2, Maze-U", rows, ROBOTS)],
         pictures=[
             picture
@@ -208,12 +204,13 @@ def more_time(runs: Runs) -> page.Section:
     for preset, label, highs in _trained_for_others(runs):
         cells = runs.evaluate(f"twice-{preset}", highs, mazes=TABLE1, num_decisions=48, **oracle)
         late.append(comparison.Row(label, cells))
+        # A room is one sample, like a seed: episodes in the same one would tell little more.
         once_each = {"mazes": _rooms(runs), "episodes": 1, "heatmaps": False}
         cells = runs.evaluate(f"rooms-{preset}", highs, **once_each, **oracle)
         in_rooms.append(comparison.Row(label, cells))
 
     title = (
-        f"{runs.num_rooms} generated {ROOM_SIDE}x{ROOM_SIDE} rooms of unseen seeds, "
+        f"{runs.options.num_rooms} generated {ROOM_SIDE}x{ROOM_SIDE} rooms of unseen seeds, "
         "four times the shortest tour"
     )
     return page.Section(
@@ -232,6 +229,7 @@ def learning(runs: Runs) -> page.Section:
     for maze, (kind, (column, label, scale)) in itertools.product(
         ("random", *TRAINED, "rooms"), _CURVES.items()
     ):
+        # Dense runs are drawn twice, by their success and by what they are paid for.
         reward = "-dense" if kind.startswith("dense") else ""
         metrics = {
             name: runs.metrics(f"{preset}-{maze}{reward}") for preset, name in PRESETS.items()
@@ -241,9 +239,11 @@ def learning(runs: Runs) -> page.Section:
             for name, files in metrics.items()
             if files
         }
+
+        # A maze that no preset was trained in has no picture.
         if drawn:
-            runs.out.mkdir(parents=True, exist_ok=True)
-            path = runs.out / f"learning-{maze}-{kind.replace(', ', '-')}.png"
+            runs.options.out.mkdir(parents=True, exist_ok=True)
+            path = runs.options.out / f"learning-{maze}-{kind.replace(', ', '-')}.png"
             curves.save_spread(path, drawn, x_label="decisions", y_label=label, y_scale=scale)
             caption = f"{maze}, {kind} reward: mean and range over seeds while training."
             pictures.append(page.Picture(path, caption))
@@ -256,16 +256,17 @@ def learning(runs: Runs) -> page.Section:
 
 def baselines(runs: Runs) -> page.Section:
     """The baselines' learning beside ours."""
-    return baseline_curves.section(runs.metrics, runs.baselines, runs.out)
+    return baseline_curves.section(runs.metrics, runs.options.baselines, runs.options.out)
 
 
 def ablations(runs: Runs) -> page.Section:
     """What trainings with one thing changed reach, from folders of `ablate_high`."""
     shown, pictures = [], []
-    for folder in runs.ablations:
+    for folder in runs.options.ablations:
         files = sorted((folder / "evaluations").glob("*/eval.json"), key=_ablation_order)
         if not files:
             raise base.UserError(f"ablations = {folder} holds no evaluations/*/eval.json")
+
         evaluated = {_variant(file): results.load(file).cells for file in files}
         shown.append(comparison.of_variants(f"Ablations: {folder.name}", evaluated))
         if (picture := folder / "curves.png").exists():
@@ -279,7 +280,7 @@ def ablations(runs: Runs) -> page.Section:
     )
 
 
-PARTS: dict[str, Callable[[Runs], page.Section]] = {
+PARTS: dict[report_config.Part, Callable[[Runs], page.Section]] = {
     "table1": table1,
     "trained": trained,
     "table2": table2,
@@ -302,9 +303,9 @@ def _trained_for_others(runs: Runs) -> list[tuple[str, str, tuple[str, ...]]]:
 
 def _rooms(runs: Runs) -> tuple[str, ...]:
     """Generates rooms that nothing was trained in, unless they are there; returns their files."""
-    folder = runs.out / "rooms"
+    folder = runs.options.out / "rooms"
     folder.mkdir(parents=True, exist_ok=True)
-    files = {seed: folder / f"room-{seed:05d}.txt" for seed in range(runs.num_rooms)}
+    files = {seed: folder / f"room-{seed:05d}.txt" for seed in range(runs.options.num_rooms)}
     for seed, file in files.items():
         if not file.exists():
             file.write_text(generators.random_room(seed, ROOM_SIDE, ROOM_SIDE))

@@ -87,6 +87,8 @@ def main(config: AblationConfig) -> None:
     """Trains and evaluates what is missing, then compares what is there."""
     runs = _runs(config)
     chosen = config.variants or tuple(runs.variants)
+
+    # Seed by seed and variant by variant, so that an early stop leaves something to compare.
     runs.train(chosen, high.train)
     for variant in (*chosen, paper.RAND_H):
         cached_runs.evaluated(_evaluation(config, runs, variant))
@@ -110,6 +112,7 @@ def compare(config: AblationConfig) -> str:
         y_scale=100.0,
     )
 
+    # Also variants of earlier calls: the folder is the comparison.
     evaluations = {
         variant: _evaluation(config, runs, variant) for variant in (*runs.variants, paper.RAND_H)
     }

@@ -87,6 +87,7 @@ def compare(config: AblationConfig) -> str:
     header = ["changed", "runs", "distance", "along", "std", "sideways std", "falls per 1,000"]
     rows = []
     for variant, files in finished.items():
+        # One value per seed, the last one of its run.
         ends = [[curve[-1, 1] for curve in drawn[variant]]]
         ends += [[_column(file, name)[-1, 1] for file in files] for name in _SHOWN]
         rows.append([variant, str(len(files)), *map(_spread, ends)])
@@ -97,6 +98,7 @@ def error_curve(metrics: pathlib.Path) -> Float[np.ndarray, "N 2"]:
     """Returns critic updates and how far subgoals ended from one cell ahead, root mean square."""
     columns = [_column(metrics, name) for name in _DISTANCE_OF]
     along, along_std, lateral, lateral_std = (column[:, 1] for column in columns)
+    # The mean square distance is that of the means and the variances around them.
     square = (along - base.CELL) ** 2 + along_std**2 + lateral**2 + lateral_std**2
     updates = presets.low_best().updates_per_iteration * columns[0][:, 0]
     return np.stack([updates, np.sqrt(square)], -1)

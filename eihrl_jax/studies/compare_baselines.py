@@ -130,9 +130,12 @@ def high_options(config: CompareConfig, run: Run) -> high_config.HighConfig:
     """Returns the options of a run of ours: few workers, so that there are updates enough."""
     preset = presets.HIGH["best"]
     assert preset.learner.window is not None
+
+    # A decision costs the control steps in which the robot would walk it.
     steps_per_decision = robots.load(preset.task.robot).steps_per_subgoal
     per_update = _WORKERS * preset.learner.window * steps_per_decision
     rows = max(1, config.num_steps // (per_update * _LOG_EVERY))
+
     return changes.apply(
         preset,
         {
@@ -170,6 +173,7 @@ def uniform_options(config: CompareConfig, run: Run) -> evaluate_config.Evaluate
 def baseline_options(config: CompareConfig, run: Run) -> baselines_config.BaselineConfig:
     """Returns the options of a run of `train_baseline`."""
     options = presets.BASELINES[run.method]
+    # In so short a run the presets' own schedules would begin late.
     if config.num_steps <= _SHORT:
         options = changes.apply(options, _SHORTENED[run.method])
     if isinstance(options, hess_config.HessConfig):
@@ -193,6 +197,7 @@ def _train_ours(options: high_config.HighConfig) -> None:
 def _with_physics(options: high_config.HighConfig) -> hierarchy.Hierarchy:
     """Returns the same task with physics: the robot walks, driven by its shipped low level."""
     task, robot = options.task, robots.load(options.task.robot)
+    # Mazes and view are those of the training, whatever its options are.
     oracle = high.make_env(task, options.seed)
     low_policy = loading.load_low(task.robot, robot)
     engine = engines.make(robot, "mujoco")
@@ -208,6 +213,7 @@ def _in_rows(
       base.UserError: a round, an episode of all robots, is more than a tenth of the budget.
     """
     steps = int(mazes.load(run.maze).num_decisions) * robots.load(options.robot).steps_per_subgoal
+    # Whole episodes of all robots, in whole periods.
     per_round = options.num_envs * options.period * options.num_periods(steps)
     if 10 * per_round > config.num_steps:
         raise base.UserError(

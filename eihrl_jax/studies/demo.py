@@ -33,9 +33,12 @@ class DemoConfig:
 def main(config: DemoConfig) -> None:
     """Trains, evaluates, prints Table 1 and where the pictures are."""
     run = _new_folder(config.run)
+
     trained = run / "high"
     high.train(dataclasses.replace(presets.high_best(), run=trained, seed=config.seed))
     learning_curve.draw(trained)
+
+    # The paper's Table 1, which are the options' defaults.
     evaluation = evaluations.evaluate(
         evaluate_config.EvaluateConfig(
             high=(str(trained),),
@@ -45,6 +48,7 @@ def main(config: DemoConfig) -> None:
         )
     )
     tables.show(tables.terminal(evaluation.cells))
+
     print("\nPictures:")
     for picture in sorted((*run.rglob("*.png"), *run.rglob("*.gif"))):
         print(f"  {picture}")

@@ -50,6 +50,7 @@ def main(config: ReproduceConfig) -> None:
         robot=str(ANT),
         num_envs=1,
         num_steps=config.num_steps,
+        # A row of metrics and an evaluation every 1,000 control steps.
         iterations_per_round=100,
         log_rounds=10,
         evaluate_every=1,
@@ -57,7 +58,9 @@ def main(config: ReproduceConfig) -> None:
         num_eval_episodes=10,
         learner=low_config.Droq(),
     )
+
     engine = engines.make(robots.load(str(ANT)), "mujoco")
+    # Open floor has no sides, and flat DroQ asks for none.
     env, side_xy = forward_run.ForwardRun(engine), (0, 0)
     steps, num_actions = forward_run.EPISODE_STEPS, engine.model.nu
     learner = interface.make(wrappers.AutoReset(env), num_actions, side_xy, steps, options)

@@ -55,13 +55,16 @@ def main(config: ReproduceConfig) -> None:
         reward=config.reward,
         num_steps=config.num_steps,
         updates_per_step=config.updates_per_step,
+        # The maze pays 0 and -1 as released; time needn't cost more.
         costs_time=False,
         is_limit_terminal=False,
-        landmarks=higl_config.Landmarks(),
+        landmarks=higl_config.Landmarks(),  # As many as released, not as our mazes ask for.
         evaluate_every=2,
         checkpoint_every=10,
         num_eval_episodes=50,
     )
+
+    # Trained with goals anywhere, evaluated with the far end alone.
     engine = engines.make(robots.load("ant"), "mujoco", u_maze.CELL)
     maze = mazes.parse(u_maze.TEXT)
     env = u_maze.UMaze(engine, maze, reward=config.reward)
@@ -69,6 +72,7 @@ def main(config: ReproduceConfig) -> None:
     learner = interface.make(env, engine.model.nu, env.side_xy, u_maze.EPISODE_STEPS, options)
     title = f"{config.method} in HIGL's U"
     baselines.train_in(baselines.Arena(title, test_env, env.side_xy, learner), options)
+
     learning_curve.draw(
         config.run,
         {"evaluation": "eval/success"},

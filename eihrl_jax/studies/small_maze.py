@@ -107,6 +107,7 @@ def main(config: SmallConfig) -> None:
     for options in runs:
         cached_runs.finish(options, baselines.train)
 
+    # Trained seed by seed, but told method by method.
     for options in sorted(runs, key=lambda options: METHODS.index(options.method)):
         success = curves.read(options.run / "metrics.csv", "step", "eval/success")[-1, 1]
         print(f"{options.method}, seed {options.seed}: {success:.0%} after {options.num_steps:,}")

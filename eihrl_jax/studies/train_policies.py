@@ -56,6 +56,7 @@ def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
     for name, reward in itertools.product(config.presets, config.rewards):
         preset = presets.HIGH[name]
         for maze in ("rooms",) if preset.task.num_rooms else config.mazes:
+            # The name is what the report looks for.
             run = config.out / cached_runs.name(name, maze, reward, seed)
             own = {"task.reward": reward, "seed": seed, "run": run, "resume": True}
             if not preset.task.num_rooms:

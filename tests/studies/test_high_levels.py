@@ -13,6 +13,7 @@ from eihrl_jax import base
 from eihrl_jax.config import changes, codec, presets
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
+from eihrl_jax.config import report as report_config
 from eihrl_jax.evaluation import results
 from eihrl_jax.reporting import cached_runs, evaluations, report
 from eihrl_jax.runs import policies
@@ -139,7 +140,7 @@ def test_finished_runs_are_shipped_with_their_metrics(trained, tmp_path, monkeyp
 
 
 def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, work, tmp_path, capsys):
-    options = report.ReportConfig(
+    options = report_config.ReportConfig(
         policies=trained,
         parts=("table1", "more_time", "learning"),
         movement=("oracle",),
@@ -165,7 +166,7 @@ def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, work, tmp_pat
 def test_every_part_of_the_report_has_its_rows(trained, tmp_path, monkeypatch):
     monkeypatch.setattr(evaluations, "evaluate", made_up_evaluation)
     (trained / "higl-u-0").mkdir(exist_ok=True)
-    options = report.ReportConfig(
+    options = report_config.ReportConfig(
         policies=trained,
         parts=("table1", "trained", "table2"),
         episodes=6,
@@ -221,8 +222,10 @@ def test_bad_input_is_named(tmp_path):
     with pytest.raises(base.UserError, match="mazes is empty"):
         train_policies.PoliciesConfig(mazes=())
     with pytest.raises(base.UserError, match=r"parts = 'all' must be one of table1, "):
-        report.ReportConfig(parts=("all",))
-    options = report.ReportConfig(policies=tmp_path, parts=("learning",), out=tmp_path / "out")
+        report_config.ReportConfig(parts=("all",))
+    options = report_config.ReportConfig(
+        policies=tmp_path, parts=("learning",), out=tmp_path / "out"
+    )
     with pytest.raises(base.UserError, match="holds no <preset>-<maze>-<seed>"):
         report.main(options)
 
@@ -252,7 +255,10 @@ def test_variants_of_a_preset_are_trained_and_compared(work, tmp_path, monkeypat
     trained = (tmp_path / "entropy-0.02" / "seed-1" / "config.json").read_text()
     assert '"entropy": 0.02,' in trained
     shown = dataclasses.replace(
-        report.ReportConfig(), parts=("ablations",), ablations=(tmp_path,), out=tmp_path / "report"
+        report_config.ReportConfig(),
+        parts=("ablations",),
+        ablations=(tmp_path,),
+        out=tmp_path / "report",
     )
     report.main(shown)
     lines = (tmp_path / "report" / "tables.md").read_text().splitlines()
