@@ -80,6 +80,7 @@ def _in_todays_words(argv: Sequence[str], earlier: Mapping[tuple[str, str], str]
         else:
             # Of the last option, which may have several values.
             words.append(earlier.get((option, word), word))
+
     return words
 
 

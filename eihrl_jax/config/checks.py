@@ -44,6 +44,7 @@ def in_range(
         and (above is None or value > above)
         and (below is None or value < below)
     )
+
     if not is_inside:
         wanted = [f"{word} {limit}" for word, limit in limits.items() if limit is not None]
         raise base.UserError(f"{name} = {value} must be {' and '.join(wanted) or 'finite'}")

@@ -72,8 +72,6 @@ def _build(annotation: Hint, value: Json, name: str) -> Any:
         return pathlib.Path(value)
     if annotation is float and type(value) is int:
         return float(value)
-    if annotation is type(None) and value is None:
-        return None
     # No `isinstance`: to Python True is an int.
     if type(value) is not annotation:
         raise base.UserError(f"{name} = {value!r} must be {_type_name(annotation)}")

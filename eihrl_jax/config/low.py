@@ -165,6 +165,7 @@ class LowConfig:
         checks.divides(
             "evaluate_every", self.evaluate_every, "checkpoint_every", self.checkpoint_every
         )
+
         if self.reward.fall_cost and not self.ends_at_fall:
             raise base.UserError(
                 f"fall_cost = {self.reward.fall_cost} is the price of a fall that ends an episode: "

@@ -58,6 +58,7 @@ def save(
     frames = [
         Image.fromarray(frame) for frame in render(recording, capsules, title=title, reach=reach)
     ]
+
     # One palette for all frames keeps what does not move identical, and so out of the file.
     colours = _common_palette(frames)
     indexed = [frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames]

@@ -52,6 +52,7 @@ def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
         raise base.UserError(f"{path} has no column {error}") from None
     except (OSError, ValueError) as error:
         raise base.UserError(f"{path} can't be read: {error}") from None
+
     if not len(points):
         raise base.UserError(f"{path} holds no values of {x!r} and {y!r}")
     return points
@@ -93,6 +94,7 @@ def save(
         axes.plot(x, y, color=colour, alpha=0.25, linewidth=1.0)
         window = max(1, len(y) // 50)  # rows: a fiftieth of the curve
         axes.plot(x, smooth(y, window), color=colour, linewidth=2.0, label=label)
+
     if y_range is not None:
         axes.set_ylim(*y_range)
     if len(curves) > 1:
@@ -126,6 +128,7 @@ def save_spread(
     axes = new_axes(x_label, y_label)
     if has_log_x:
         axes.set_xscale("log")
+        # Another scale brings its own labels with it.
         axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=" "))
 
     all_labels = list(dict.fromkeys([*labels, *groups]))

@@ -17,8 +17,6 @@ from eihrl_jax.drawing import figures, layout, palette
 from eihrl_jax.evaluation import rollouts
 from eihrl_jax.mazes import maze as maze_lib
 
-_LABEL = "episodes that came by, %"
-
 
 @dataclasses.dataclass(frozen=True)
 class Visits:
@@ -71,6 +69,7 @@ def save_together(path: pathlib.Path, visits: Sequence[Visits], *, num_columns: 
     num_rows = -(-len(visits) // num_columns)
     figure = figures.new(3.3 * num_columns + 1.0, 3.5 * num_rows + 0.7)
     grid = figure.add_gridspec(num_rows, num_columns + 1, width_ratios=[20] * num_columns + [1])
+
     # One scale for all, so that equal colours are equal shares.
     norm = _norm(visits)
     for i, item in enumerate(visits):
@@ -78,6 +77,7 @@ def save_together(path: pathlib.Path, visits: Sequence[Visits], *, num_columns: 
         _draw(axes, item, norm)
         axes.set_title(item.title, loc="left", color=palette.INK, fontsize=10)
         axes.tick_params(labelbottom=False, labelleft=False, length=0)
+
     _add_bar(figure, figure.add_subplot(grid[:, -1]), norm)
     _add_legend(figure)
     figures.save(figure, path)
@@ -105,7 +105,7 @@ def _add_bar(
 ) -> None:
     """Draws the colour bar into axes of its own."""
     bar = figure.colorbar(matplotlib.cm.ScalarMappable(norm, palette.HEAT), cax=axes)
-    bar.set_label(_LABEL, color=palette.INK)
+    bar.set_label("episodes that came by, %", color=palette.INK)
     bar.outline.set_visible(False)
 
 

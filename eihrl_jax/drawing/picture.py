@@ -72,11 +72,13 @@ def wall_rectangles(wall: Bool[np.ndarray, "R C"]) -> Int[np.ndarray, "B 4"]:
     for i, j in np.argwhere(wall):
         if not left[i, j]:
             continue
+
         # From its first cell as far right as there is wall, then as far down as all of that is.
         width = int(np.argmin(np.append(left[i, j:], False)))
         height = int(np.argmin(np.append(left[i:, j : j + width].all(1), False)))
         left[i : i + height, j : j + width] = False
         rectangles.append((i, j, i + height, j + width))
+
     return np.array(rectangles, int).reshape(-1, 4)
 
 

@@ -175,6 +175,7 @@ def _envs(
         make = functools.partial(
             loading.full_env, engine, stacked, low_policy=low_policy, reward=reward
         )
+
     return {view: make(view) for view in dict.fromkeys(views)}
 
 

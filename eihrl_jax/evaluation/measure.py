@@ -266,6 +266,7 @@ def recovery_times(steps: Steps, min_steps: int) -> Float[np.ndarray, " F"]:
         # Looked for within the episode: the next one starts with a robot that stands anyway.
         ended = np.flatnonzero(steps.ended[t:, robot])
         end = t + ended[0] if len(ended) else len(steps.ended) - 1
+
         upright = np.flatnonzero(~steps.was_down[t + 1 : end + 1, robot])
         if len(upright):
             times.append(float(upright[0] + 1))

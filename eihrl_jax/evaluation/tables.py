@@ -92,6 +92,7 @@ def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
             str(cell.num_episodes),
         ]
         rows.setdefault(cell.agent, []).append(row)
+
     return [Table(_title(agent), header, body) for agent, body in rows.items()]
 
 
@@ -140,6 +141,7 @@ def _rows1(
         [f"{agent.robot}, {MOVEMENT_NAMES[agent.movement]}", *(rates.get(m, "-") for m in mazes)],
         ["  95 % interval", *(bounds.get(m, "-") for m in mazes)],
     ]
+
     # The paper's Table 1 is of the ant, moved by a high level that has learned.
     if agent.robot == "ant" and agent.high != evaluate_config.UNIFORM and not _is_baseline(agent):
         published = paper.TABLE1[agent.movement]
@@ -166,6 +168,7 @@ def over_runs(
             name = re.sub(r"\d+$", "*", cell.agent.high)
             key = (name, cell.maze, cell.agent.robot, cell.agent.movement)
             groups.setdefault(key, []).append(cell.success.rate)
+
     return {
         key: statistics.over_runs(np.array(rates))
         for key, rates in groups.items()
@@ -199,6 +202,7 @@ def _shown(table: Table) -> rich.table.Table:
         box=rich.box.SIMPLE_HEAD,
         pad_edge=False,
     )
+
     # Numbers are read from the right, and a row of a group's details steps back.
     for i, name in enumerate(table.header):
         shown.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
@@ -240,6 +244,7 @@ def of_subgoals(measured: Mapping[str, subgoals.Statistics], robot: str) -> rich
         ("  after seconds", lambda s: _or_dash(s.recovery_seconds, ".1f")),
         ("breakdowns of the simulation", lambda s: f"{s.breakdowns:.2f}"),
     )
+
     body = [[name, *map(write, measured.values())] for name, write in rows]
     return _shown(Table("", [robot, *measured], body))
 

@@ -156,8 +156,7 @@ def goals_anywhere(maze: Maze) -> Maze:
         goal = np.zeros(wall.shape, bool)
         goal[cell] = True
         # A door is wall elsewhere, so that only the one that is the goal is entered.
-        is_reached = paths.distances(~wall | goal, paths.cells(start & ~goal))[cell] >= 0
-        if is_reached:
+        if paths.distances(~wall | goal, paths.cells(start & ~goal))[cell] >= 0:
             variants.append(
                 maze.replace(
                     wall=wall & ~goal,

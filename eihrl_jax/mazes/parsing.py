@@ -71,13 +71,13 @@ def parse(
 
 def _grid(text: str, name: str) -> np.ndarray:
     """Splits the text into one character per cell, [R, C]."""
-    lines = [line.rstrip() for line in text.strip("\r\n").splitlines()]
-    while lines and not lines[0]:
-        lines.pop(0)
-    while lines and not lines[-1]:
-        lines.pop()
-    if not lines:
+    lines = [line.rstrip() for line in text.splitlines()]
+    filled = [i for i, line in enumerate(lines) if line]
+    if not filled:
         raise base.UserError(f"{name}: the text is empty")
+
+    # Blank lines between rows stay, and are named as rows without columns.
+    lines = lines[filled[0] : filled[-1] + 1]
 
     # Characters before lengths: a tab, say, is the likelier cause of a line that is too short.
     for i, line in enumerate(lines):
