@@ -46,9 +46,9 @@ def init(example: Any, capacity: int) -> Replay:
     )
 
 
-def row(batch: Any) -> Any:
+def row(batch: Any, num_axes: int = 1) -> Any:
     """Returns the shapes of one row of a batch, real or abstract, as `init` takes them."""
-    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), batch)
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[num_axes:], leaf.dtype), batch)
 
 
 def add(replay: Replay, batch: Any) -> Replay:

@@ -9,8 +9,9 @@ from flax import struct
 from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base
-from eihrl_jax.agents import droq, replay
+from eihrl_jax.agents import droq, optimisation, replay
 from eihrl_jax.baselines import periods
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import baselines as config_lib
 
 
@@ -19,14 +20,14 @@ class FlatState(struct.PyTreeNode):
 
     Attributes:
       learner: networks and optimisers.
-      memory: `base.Transition`s.
+      replay: `base.Transition`s.
       envs: environments with leading axis N.
       key: of what comes next.
       num_steps: int32, control steps of all environments so far.
     """
 
     learner: droq.DroqState
-    memory: replay.Replay
+    replay: replay.Replay
     envs: base.EnvState
     key: Key[Array, ""]
     num_steps: Int[Array, ""]
@@ -40,40 +41,23 @@ class FlatDroq:
       steps_per_round: control steps of all environments in a round.
     """
 
-    def __init__(
-        self,
-        env: base.Environment,
-        num_actions: int,
-        side_xy: tuple[int, int],
-        options: config_lib.FlatConfig,
-    ):
-        """Builds the learner.
-
-        Args:
-          env: where the robots walk; its observation is a `base.GoalObs`, and its `step` begins a
-            new episode right after one has ended, see `envs.wrappers.AutoReset`.
-          num_actions: size A of the robot's controls.
-          side_xy: the arena's sides in units, its upper left corner at the origin.
-          options: of the run.
-        """
+    def __init__(self, world: World, options: config_lib.FlatConfig):
+        """Builds the learner."""
         self.options = options
         self.steps_per_round = options.steps_per_round
-        self._env = env
-        self._num_actions = num_actions
-        self._centre_xy = side_xy[0] / 2.0, -side_xy[1] / 2.0
-        obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
-        num_features = jax.eval_shape(self.see, obs).shape[0]
-        self._learner = droq.Droq(num_features, num_actions, options.learner)
+        self._world = world
+        num_features = world.num_features(self.see)
+        self._learner = droq.Droq(num_features, world.num_actions, options.learner)
 
     def init(self, key: Key[Array, ""]) -> FlatState:
-        """Returns the state of a run that is about to start, its memory still empty."""
+        """Returns the state of a run that is about to start, its replay still empty."""
         key, learner_key, env_key = jax.random.split(key, 3)
-        envs = jax.vmap(self._env.reset)(jax.random.split(env_key, self.options.num_envs))
-        action = jnp.zeros((self.options.num_envs, self._num_actions))
+        envs = self._world.reset(self.options.num_envs, env_key)
+        action = jnp.zeros((self.options.num_envs, self._world.num_actions))
         rows = jax.eval_shape(self._step, envs, action)[1]
         return FlatState(
             learner=self._learner.init(learner_key),
-            memory=replay.init(replay.row(rows), self.options.capacity),
+            replay=replay.init(replay.row(rows), self.options.capacity),
             envs=envs,
             key=key,
             num_steps=jnp.int32(0),
@@ -89,7 +73,7 @@ class FlatDroq:
         state, (learned, sums) = jax.lax.scan(
             self._iterate, state, length=self.options.iterations_per_round
         )
-        metrics = {f"learner/{name}": jnp.nanmean(value) for name, value in learned.items()}
+        metrics = optimisation.means("learner", learned)
         return state, metrics | {name: value.sum() for name, value in sums.items()}
 
     def policy(self, state: FlatState) -> dict[str, base.Params]:
@@ -106,37 +90,34 @@ class FlatDroq:
         """Returns controls in [-1, 1] without exploration, and the carry of the next step."""
         return self._learner.mode(policy["actor"], self.see(obs)), carry
 
-    def see(self, obs: base.GoalObs) -> Float[Array, " F"]:
+    def see(self, obs: base.GoalObs) -> Float[Array, "*B F"]:
         """Returns what the level sees: x and y from the arena's centre, the robot, the way left.
 
         Positions are in cells: in units, they would drown the robot in the layer normalisation.
         """
-        xy, left = obs.xy - jnp.array(self._centre_xy), obs.goal_xy - obs.xy
-        return jnp.concatenate([xy / base.CELL, obs.proprioception, left / base.CELL])
+        xy, left = self._world.centred(obs.xy), obs.goal_xy - obs.xy
+        return jnp.concatenate([xy / base.CELL, obs.proprioception, left / base.CELL], axis=-1)
 
     def _iterate(self, state: FlatState, _: None) -> tuple[FlatState, tuple[dict, dict]]:
         """Takes one step in every environment, then learns, once the warm-up is over."""
         key, act_key, random_key, draw_key, update_key = jax.random.split(state.key, 5)
         num_envs = self.options.num_envs
         is_warm = state.num_steps >= self.options.warmup_steps
+
         chosen = jax.vmap(self._learner.sample, (None, 0, 0))(
             state.learner.actor_params,
-            jax.vmap(self.see)(state.envs.obs),
+            self.see(state.envs.obs),
             jax.random.split(act_key, num_envs),
         )
         drawn = jax.random.uniform(random_key, chosen.shape, minval=-1.0, maxval=1.0)
         envs, rows = self._step(state.envs, jnp.where(is_warm, chosen, drawn))
-        memory = replay.add(state.memory, rows)
 
-        # Drawn at once, outside the loop over updates: XLA would copy the memory into that loop.
+        stored = replay.add(state.replay, rows)
         count = num_envs * self.options.updates_per_step
-        batches = replay.sample(memory, (count, self.options.learner.batch_size), draw_key)
-        keys = jax.random.split(update_key, count)
+        batches = replay.sample(stored, (count, self.options.learner.batch_size), draw_key)
 
         def learn(learner: droq.DroqState) -> tuple[droq.DroqState, dict[str, Array]]:
-            return jax.lax.scan(
-                lambda learner, xs: self._learner.update(learner, *xs), learner, (batches, keys)
-            )
+            return optimisation.loop(self._learner.update, learner, batches, update_key)
 
         def rest(learner: droq.DroqState) -> tuple[droq.DroqState, dict[str, Array]]:
             shapes = jax.eval_shape(learn, learner)[1]
@@ -144,26 +125,25 @@ class FlatDroq:
             return learner, nothing
 
         learner, learned = jax.lax.cond(is_warm, learn, rest, state.learner)
-        is_end = envs.is_over
         state = FlatState(
             learner=learner,
-            memory=memory,
+            replay=stored,
             envs=envs,
             key=key,
             num_steps=state.num_steps + num_envs,
         )
-        return state, (learned, periods.sum_ends(is_end, envs.metrics))
+        return state, (learned, periods.sum_ends(envs.is_over, envs.metrics))
 
     def _step(
         self, envs: base.EnvState, action: Float[Array, "N nu"]
     ) -> tuple[base.EnvState, base.Transition]:
         """Steps every environment, and returns what is to be stored of it."""
-        stepped = jax.vmap(self._env.step)(envs, action)
+        stepped = jax.vmap(self._world.env.step)(envs, action)
         rows = base.Transition(
-            obs=jax.vmap(self.see)(envs.obs),
+            obs=self.see(envs.obs),
             action=action,
             reward=stepped.reward,
             discount=self.options.learner.gamma * (1.0 - stepped.terminated.astype(jnp.float32)),
-            next_obs=jax.vmap(self.see)(stepped.final_obs),
+            next_obs=self.see(stepped.final_obs),
         )
         return stepped, rows

@@ -8,6 +8,7 @@ from eihrl_jax import base
 from eihrl_jax.baselines import flat
 from eihrl_jax.baselines.hess import hess
 from eihrl_jax.baselines.higl import higl
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import baselines as config_lib
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.config import higl as higl_config
@@ -56,26 +57,11 @@ class Baseline(Protocol[StateT, CarryT]):
         ...
 
 
-def make(
-    env: base.Environment,
-    num_actions: int,
-    side_xy: tuple[int, int],
-    episode_steps: int,
-    options: config_lib.BaselineConfig,
-) -> Baseline:
-    """Builds a baseline.
-
-    Args:
-      env: where the robots walk; its observation is a `base.GoalObs`. Its `step` rests where the
-        episode is over; for a flat baseline it begins a new one.
-      num_actions: size A of the robot's controls.
-      side_xy: the arena's sides in units, its upper left corner at the origin.
-      episode_steps: control steps of the longest episode.
-      options: of the method.
-    """
+def make(world: World, options: config_lib.BaselineConfig) -> Baseline:
+    """Builds the baseline of the method that its options are of."""
     if isinstance(options, config_lib.FlatConfig):
-        return flat.FlatDroq(env, num_actions, side_xy, options)
+        return flat.FlatDroq(world, options)
     if isinstance(options, hess_config.HessConfig):
-        return hess.Hess(env, num_actions, side_xy, episode_steps, options)
+        return hess.Hess(world, options)
     assert isinstance(options, higl_config.HiglConfig)
-    return higl.Higl(env, num_actions, side_xy, options)
+    return higl.Higl(world, options)

@@ -1,11 +1,11 @@
-"""Walking of two levels: an upper one names a subgoal every k steps, a lower one acts in between.
+"""Periods of two levels: an upper one names a subgoal every k steps, a lower one acts in between.
 
 All robots begin their periods together. One whose episode ends within a period rests until it is
 over; `renew` then begins a new episode.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Generic, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -15,17 +15,19 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from eihrl_jax import base
 from eihrl_jax.ops import tree
 
-Choose = Callable[[base.GoalObs, Bool[Array, ""], Key[Array, ""]], Any]
-"""The upper level: from what is seen, whether the episode begins, and a key to a subgoal."""
+SubgoalT = TypeVar("SubgoalT")
 
-Act = Callable[[base.GoalObs, Any, Key[Array, ""]], Float[Array, " nu"]]
+Choose: TypeAlias = Callable[[base.GoalObs, Key[Array, ""]], SubgoalT]
+"""The upper level: from what is seen and a key to a subgoal."""
+
+Act: TypeAlias = Callable[[base.GoalObs, SubgoalT, Key[Array, ""]], Float[Array, " nu"]]
 """The lower level: from what is seen, the subgoal as it is now, and a key to an action."""
 
-Move = Callable[[Any, base.GoalObs, base.GoalObs], Any]
-"""What a subgoal becomes after a step, given what was seen before and after it."""
+Move: TypeAlias = Callable[[SubgoalT, Float[Array, "2"], Float[Array, "2"]], SubgoalT]
+"""What a subgoal becomes after a step, given the torso's x and y before and after it, units."""
 
 
-class Period(struct.PyTreeNode):
+class Period(struct.PyTreeNode, Generic[SubgoalT]):
     """One period; leading axes [k, N], k steps of N robots.
 
     Attributes:
@@ -41,7 +43,7 @@ class Period(struct.PyTreeNode):
     """
 
     obs: base.GoalObs
-    subgoal: Any
+    subgoal: SubgoalT
     action: Float[Array, "k N nu"]
     reward: Float[Array, "k N"]
     is_running: Bool[Array, "k N"]
@@ -51,18 +53,59 @@ class Period(struct.PyTreeNode):
     metrics: dict[str, Float[Array, "k N"]]
 
 
-def walk(
+class Carry(struct.PyTreeNode):
+    """What a policy of two levels remembers from one control step to the next.
+
+    Attributes:
+      subgoal: float32 [2], as it was at the last step.
+      xy: float32 [2], where the torso was then, units.
+      steps_left: int32, control steps left in the period; 0: the next subgoal is due.
+    """
+
+    subgoal: Float[Array, "2"]
+    xy: Float[Array, "2"]
+    steps_left: Int[Array, ""]
+
+    @classmethod
+    def start(cls) -> "Carry":
+        """Returns the carry at the beginning of an episode."""
+        return cls(subgoal=jnp.zeros(2), xy=jnp.zeros(2), steps_left=jnp.int32(0))
+
+    def advance(
+        self,
+        chosen: Float[Array, "2"],
+        xy: Float[Array, "2"],
+        num_steps: int,
+        move: Move[Float[Array, "2"]],
+    ) -> "Carry":
+        """Returns the carry with the subgoal of this step.
+
+        Args:
+          chosen: the subgoal that the upper level would choose now.
+          xy: where the torso is, units.
+          num_steps: k.
+          move: what becomes of a subgoal.
+        """
+        is_due = self.steps_left == 0
+        return Carry(
+            subgoal=jnp.where(is_due, chosen, move(self.subgoal, self.xy, xy)),
+            xy=xy,
+            steps_left=jnp.where(is_due, jnp.int32(num_steps), self.steps_left) - 1,
+        )
+
+
+def run(
     env: base.Environment,
     envs: base.EnvState,
     num_steps: int,
-    choose: Choose,
-    act: Act,
-    move: Move,
+    choose: Choose[SubgoalT],
+    act: Act[SubgoalT],
+    move: Move[SubgoalT],
     key: Key[Array, ""],
     *,
     reach: float = 1.0,
-) -> tuple[base.EnvState, Period]:
-    """Walks one period.
+) -> tuple[base.EnvState, Period[SubgoalT]]:
+    """Runs one period.
 
     Args:
       env: where; its `step` rests where the episode is over.
@@ -79,12 +122,11 @@ def walk(
     """
     num_envs = envs.reward.shape[0]
     choose_key, act_key = jax.random.split(key)
-    choose_keys = jax.random.split(choose_key, num_envs)
-    subgoal = jax.vmap(choose)(envs.obs, envs.obs.time == 0.0, choose_keys)
+    subgoal = jax.vmap(choose)(envs.obs, jax.random.split(choose_key, num_envs))
 
     def body(
-        carry: tuple[base.EnvState, Any], step_key: Key[Array, ""]
-    ) -> tuple[tuple[base.EnvState, Any], Period]:
+        carry: tuple[base.EnvState, SubgoalT], step_key: Key[Array, ""]
+    ) -> tuple[tuple[base.EnvState, SubgoalT], Period[SubgoalT]]:
         envs, subgoal = carry
         action = jax.vmap(act)(envs.obs, subgoal, jax.random.split(step_key, num_envs))
         stepped = jax.vmap(env.step)(envs, action / reach)
@@ -99,20 +141,21 @@ def walk(
             next_obs=stepped.final_obs,
             metrics=stepped.metrics,
         )
-        return (stepped, jax.vmap(move)(subgoal, envs.obs, stepped.final_obs)), period
+        subgoal = jax.vmap(move)(subgoal, envs.obs.xy, stepped.final_obs.xy)
+        return (stepped, subgoal), period
 
     (envs, _), period = jax.lax.scan(body, (envs, subgoal), jax.random.split(act_key, num_steps))
     return envs, period
 
 
 def has_arrived(period: Period, reward: base.Reward) -> Bool[Array, "*P k N"]:
-    """Tells whether the upper level's goal has been reached in the period, up to each step.
+    """Returns whether the upper level's goal has been reached in the period, up to each step.
 
     To a level that is told its goal, with sparse reward, reaching it is an end with the value of an
     end, as in mazes with one goal: what follows has another goal. Dense reward goes on.
 
     Args:
-      period: what was walked; leading axes [*P, k, N].
+      period: what happened; leading axes [*P, k, N].
       reward: of the task.
     """
     if reward == "dense":
@@ -122,7 +165,7 @@ def has_arrived(period: Period, reward: base.Reward) -> Bool[Array, "*P k N"]:
 
 
 def is_task_over(period: Period, reward: base.Reward) -> Bool[Array, "*P N"]:
-    """Tells in which periods the upper level's task has ended: see `has_arrived`.
+    """Returns in which periods the upper level's task has ended: see `has_arrived`.
 
     A simulation that breaks down is no end without a value: where time costs, nothing costs less.
     """
@@ -135,45 +178,35 @@ def paid(period: Period, costs_time: bool, reward: base.Reward) -> Float[Array, 
     """Returns the task's rewards of steps that count, 0 of others: see `has_arrived`.
 
     Args:
-      period: what was walked; leading axes [*P, k, N].
+      period: what happened; leading axes [*P, k, N].
       costs_time: whether each step costs 1, which makes rewards of 1 and 0 those of 0 and -1.
       reward: of the task.
     """
-    arrived = has_arrived(period, reward).astype(jnp.float32)
-    was_there = jnp.concatenate([jnp.zeros_like(arrived[..., :1, :]), arrived[..., :-1, :]], -2) > 0
-    found = period.reward - (1.0 if costs_time else 0.0)
-    return jnp.where(period.is_running & ~was_there, found, 0.0)
+    arrived = has_arrived(period, reward)
+    was_there = jnp.concatenate([jnp.zeros_like(arrived[..., :1, :]), arrived[..., :-1, :]], -2)
+    rewards = period.reward - (1.0 if costs_time else 0.0)
+    return jnp.where(period.is_running & ~was_there, rewards, 0.0)
 
 
 def is_end(period: Period) -> Bool[Array, "*P k N"]:
-    """Tells which steps ended an episode."""
+    """Returns which steps ended an episode."""
     return period.is_running & (period.terminated | period.truncated)
 
 
 def is_due(num_steps: Int[Array, ""], steps_per_round: int, every: int) -> Bool[Array, ""]:
-    """Tells whether the last round, if any, went past a multiple of `every` control steps."""
+    """Returns whether the last round, if any, went past a multiple of `every` control steps."""
     before = jnp.maximum(num_steps - steps_per_round, 0)
     return num_steps // every > before // every
 
 
-def summarise(period: Period) -> dict[str, Float[Array, ""]]:
-    """Returns the metrics of the episodes that ended, see `sum_ends`; leading axes any."""
-    return sum_ends(is_end(period), period.metrics)
-
-
 def sum_ends(
-    ended: Bool[Array, "*N"], metrics: dict[str, Float[Array, "*N"]]
+    is_end: Bool[Array, "*N"], metrics: dict[str, Float[Array, "*N"]]
 ) -> dict[str, Float[Array, ""]]:
     """Returns sums of metrics over the ends of episodes, as `sum_<name>`, and their number."""
-    sums = {f"sum_{name}": jnp.where(ended, each, 0.0).sum() for name, each in metrics.items()}
-    return sums | {"episodes": ended.sum(dtype=jnp.float32)}
+    sums = {f"sum_{name}": jnp.where(is_end, each, 0.0).sum() for name, each in metrics.items()}
+    return sums | {"episodes": is_end.sum(dtype=jnp.float32)}
 
 
 def renew(env: base.Environment, envs: base.EnvState, is_over: Bool[Array, " N"]) -> base.EnvState:
     """Begins a new episode, drawn anew, where `is_over`."""
-
-    def renew_one(state: base.EnvState, is_over: Bool[Array, ""]) -> base.EnvState:
-        fresh = env.reset(state.key)
-        return tree.where(is_over, fresh, state)
-
-    return jax.vmap(renew_one)(envs, is_over)
+    return jax.vmap(tree.where)(is_over, jax.vmap(env.reset)(envs.key), envs)

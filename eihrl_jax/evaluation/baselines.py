@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int, Key, PyTree
 
 from eihrl_jax import base, mazes
 from eihrl_jax.baselines import interface
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import codec, presets
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import goal_maze, hierarchy, task
@@ -126,7 +127,7 @@ def load(
     width, height = policies.entry(meta, "side_xy", path)
     steps = int(env.table.mazes.num_decisions.max())
     # Sizes of networks follow from the arena in which it was trained, not from these mazes.
-    baseline = interface.make(env, engine.model.nu, (width, height), steps, options)
+    baseline = interface.make(World(env, engine.model.nu, (width, height), steps), options)
     expected = jax.eval_shape(lambda key: baseline.policy(baseline.init(key)), jax.random.key(0))
     checkpoint.check_same(path, policy, expected)
     return BaselineMaze(env, baseline, policy)

@@ -58,16 +58,22 @@ class Critic(nn.Module):
 
     Attributes:
       hidden: widths of the hidden layers.
+      gamma: where it is given, the output d is a time, in steps that each cost 1 until it is over,
+        and stands for the value -(1 - gamma^d) / (1 - gamma).
     """
 
     hidden: Sequence[int]
+    gamma: float | None = None
 
     @nn.compact
     def __call__(
         self, obs: Float[Array, "... F"], action: Float[Array, "... A"]
     ) -> Float[Array, "..."]:
         """Returns one value per action."""
-        return Mlp(self.hidden, 1)(jnp.concatenate([obs, action], axis=-1))[..., 0]
+        output = Mlp(self.hidden, 1)(jnp.concatenate([obs, action], axis=-1))[..., 0]
+        if self.gamma is None:
+            return output
+        return -(1.0 - self.gamma**output) / (1.0 - self.gamma)
 
 
 def _dense(num_outputs: int, num_inputs: int) -> nn.Dense:

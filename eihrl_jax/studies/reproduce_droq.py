@@ -5,6 +5,7 @@ from typing import Annotated
 
 from eihrl_jax import robots
 from eihrl_jax.baselines import interface
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import baselines as baselines_config
 from eihrl_jax.config import limits
 from eihrl_jax.config import low as low_config
@@ -62,6 +63,7 @@ def main(config: ReproduceConfig) -> None:
     engine = engines.make(robots.load(str(ANT)), "mujoco")
     # Open floor has no sides, and flat DroQ asks for none.
     env, side_xy = forward_run.ForwardRun(engine), (0, 0)
-    steps, num_actions = forward_run.EPISODE_STEPS, engine.model.nu
-    learner = interface.make(wrappers.AutoReset(env), num_actions, side_xy, steps, options)
+    num_actions, steps = engine.model.nu, forward_run.EPISODE_STEPS
+    world = World(wrappers.AutoReset(env), num_actions, side_xy, steps)
+    learner = interface.make(world, options)
     baselines.train_in(baselines.Arena("DroQ on Gym's ant", env, side_xy, learner), options)

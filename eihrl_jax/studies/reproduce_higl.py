@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.baselines import interface
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import higl as higl_config
 from eihrl_jax.config import limits, presets
 from eihrl_jax.envs.published import u_maze
@@ -69,7 +70,8 @@ def main(config: ReproduceConfig) -> None:
     maze = mazes.parse(u_maze.TEXT)
     env = u_maze.UMaze(engine, maze, reward=config.reward)
     test_env = u_maze.UMaze(engine, maze, reward=config.reward, is_evaluation=True)
-    learner = interface.make(env, engine.model.nu, env.side_xy, u_maze.EPISODE_STEPS, options)
+    world = World(env, engine.model.nu, env.side_xy, u_maze.EPISODE_STEPS)
+    learner = interface.make(world, options)
     title = f"{config.method} in HIGL's U"
     baselines.train_in(baselines.Arena(title, test_env, env.side_xy, learner), options)
 

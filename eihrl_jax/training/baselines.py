@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Key
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.baselines import interface
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import baselines as config_lib
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.envs import goal_maze, wrappers
@@ -118,7 +119,7 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
         raise base.UserError(
             f"period = {config.period} must be smaller than the {steps} control steps of an episode"
         )
-    baseline = interface.make(trained_in, engine.model.nu, env.side_xy, steps, config)
+    baseline = interface.make(World(trained_in, engine.model.nu, env.side_xy, steps), config)
     return Arena(f"{config.method} in {config.maze}", env, env.side_xy, baseline)
 
 

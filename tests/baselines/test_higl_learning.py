@@ -8,17 +8,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax.agents import replay
-from eihrl_jax.baselines.higl import landmarks, learning, relabelling
+from eihrl_jax.agents import optimisation, replay
+from eihrl_jax.baselines.higl import adjacency, landmarks, learning, relabelling
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import higl as config
 
 LEVEL = {"hidden": (8,), "batch_size": 4}
 SEEN = 5
+OBS = np.ones((20, SEEN), np.float32)
+
+PLACES = adjacency.AdjacencyState(optimisation.TrainState(None, None), None)
+UNTRAINED = learning.Learned(None, None, PLACES, None)
+"""Stands in for what is learned where nothing is asked of it."""
 
 
-def make(**options):
+def make(guidance="landmarks", **options):
     """Returns the functions that learn, of small networks in an arena of nine units."""
     options = config.HiglConfig(
+        method={"landmarks": "higl", "adjacency": "hrac"}[guidance],
+        guidance=guidance,
         num_envs=2,
         period=5,
         periods_per_round=2,
@@ -28,7 +36,7 @@ def make(**options):
         controller=config.Td3(gamma=0.95, **LEVEL),
         **options,
     )
-    return learning.Learning(SEEN, 2, (9, 9), options)
+    return learning.Learning(SEEN, World(None, 2, (9, 9), 50), options)
 
 
 def subgoals(num=4, **fields):
@@ -54,25 +62,48 @@ def test_a_time_limit_ends_the_managers_task_where_asked(is_end, at_the_limit):
     learner = make(is_limit_terminal=is_end)
     ends = jnp.array([False, True, False]), jnp.array([False, False, True])
     rows = subgoals(3, terminated=ends[0], truncated=ends[1])
-    controller = learner.controller.init(jax.random.key(0))
-    found = learner.subgoal_transition(controller, rows, jax.random.key(1))
-    np.testing.assert_allclose(found.discount, [0.99, 0.0, at_the_limit], rtol=1e-6)
-    np.testing.assert_allclose(found.reward, [-0.5] * 3, rtol=1e-6)
+    controller = jax.jit(learner.controller.init)(jax.random.key(0))
+    transition = jax.jit(learner.subgoal_transition)(controller, rows, jax.random.key(1))
+    np.testing.assert_allclose(transition.discount, [0.99, 0.0, at_the_limit], rtol=1e-6)
+    np.testing.assert_allclose(transition.reward, [-0.5] * 3, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("has_landmarks", "step"), [(False, [0.0, 0.0]), (True, [1.2, 1.6])])
-def test_the_way_ahead_is_a_step_towards_the_landmark(has_landmarks, step, monkeypatch):
-    learner = make(landmark_distance=2.0)
-    rows = subgoals()
-    here_xy = rows.obs[:, 0, :2]
-    towards = types.SimpleNamespace(plan=lambda *_: here_xy + jnp.array([[3.0, 4.0]]))
-    monkeypatch.setattr(learner, "_planner", towards)
-    learned, is_time = learner.init(jax.random.key(0)), jnp.array(has_landmarks)
-    graph = landmarks.Graph(jnp.zeros((1, SEEN)), jnp.ones(1, bool), jnp.zeros((1, 1)))
-    found = learner._ahead(learned, graph, jnp.zeros((4, 1)), rows, is_time)
-    np.testing.assert_allclose(found - here_xy, [step] * 4, atol=1e-5)
+def run_after(num_steps, learned, low_replay=None, high_replay=None):
+    """Returns the state of a run after so many control steps."""
+    key = jax.random.key(0)
+    return learning.HiglState(learned, low_replay, high_replay, None, key, jnp.int32(num_steps))
+
+
+def control_rows(obs):
+    """Returns twenty stored steps that saw `obs`."""
+    return learning.ControlRow(
+        obs=obs,
+        subgoal=jnp.ones((20, 2)),
+        action=jnp.zeros((20, 2)),
+        reward=-jnp.ones(20),
+        next_obs=obs,
+        is_end=jnp.zeros(20, bool),
+        is_running=jnp.ones(20, bool),
+    )
+
+
+def stored(rows):
+    """Returns a replay that holds these rows."""
+    return replay.add(replay.init(replay.row(rows), rows.reward.shape[0]), rows)
+
+
+@pytest.mark.parametrize(("num_steps", "step"), [(99, [0.0, 0.0]), (100, [1.2, 1.6])])
+def test_the_way_ahead_is_a_step_towards_the_landmark(num_steps, step, monkeypatch):
+    early = config.Landmarks(pool=20, first_step=100)
+    learner, hrac = make(landmark_distance=2.0, landmarks=early), make(guidance="adjacency")
+    rows = jax.tree.map(lambda leaf: leaf[None], subgoals())
+    here_xy = rows.obs[:, :, 0, :2]
+    monkeypatch.setattr(landmarks.Planner, "lead", lambda *_: here_xy + jnp.array([[[3.0, 4.0]]]))
+    state = run_after(num_steps, UNTRAINED, stored(control_rows(OBS)))
+    ahead_xy = learner._ahead(state, rows, jax.random.key(1))
+    np.testing.assert_allclose(ahead_xy - here_xy, [[step] * 4], atol=1e-5)
     # HRAC has no landmarks: its subgoals are held to what is adjacent to here.
-    np.testing.assert_array_equal(learner._ahead(learned, None, None, rows, is_time), here_xy)
+    np.testing.assert_array_equal(hrac._ahead(state, rows, jax.random.key(1)), here_xy)
 
 
 def test_subgoals_are_held_by_how_far_they_lie_from_the_way_ahead(monkeypatch):
@@ -83,7 +114,7 @@ def test_subgoals_are_held_by_how_far_they_lie_from_the_way_ahead(monkeypatch):
     )
     monkeypatch.setattr(learner, "_adjacency", apart)
     here_xy, ahead_xy = jnp.ones((2, 2)), jnp.array([[1.0, 1.0], [1.0, 3.0]])
-    penalty = learner._penalty(None, here_xy, ahead_xy)
+    penalty = learner._penalty(UNTRAINED.places, here_xy, ahead_xy)
     subgoal = jnp.array([[3.0, 4.0], [0.0, 1.0]])
     # Five units beyond the first way ahead, one short of the second.
     np.testing.assert_allclose(penalty(subgoal), 20.0 * (5.0 - limit) / 2.0, rtol=1e-6)
@@ -95,34 +126,25 @@ def led(per_update):
     numbers = {"num_coverage": 2, "num_novel": 2, "pool": 4, "rounds": 2, "novelty_hidden": (8,)}
     numbers |= {"near": 0.0}  # No goal is followed itself.
     learner = make(landmarks=config.Landmarks(per_update=per_update, **numbers))
-    learned = learner.init(jax.random.key(0))
+    learned = jax.jit(learner.init)(jax.random.key(0))
     # Embeddings so far apart that subgoals are held.
-    params = jax.tree.map(lambda leaf: 10.0 * leaf, learned.places.params)
-    return jax.jit(learner.learn), learned.replace(places=learned.places.replace(params=params))
+    network = learned.places.network
+    network = network.replace(params=jax.tree.map(lambda leaf: 10.0 * leaf, network.params))
+    return jax.jit(learner._learn_manager), learned.replace(
+        places=learned.places.replace(network=network)
+    )
 
 
 def taught(per_update, obs):
     """Returns the manager after a round on steps that saw `obs`."""
     learn, learned = led(per_update)
-    steps = learning.ControlRow(
-        obs=obs,
-        subgoal=jnp.ones((20, 2)),
-        action=jnp.zeros((20, 2)),
-        reward=-jnp.ones(20),
-        next_obs=obs,
-        is_end=jnp.zeros(20, bool),
-        is_running=jnp.ones(20, bool),
-    )
-    memory = replay.add(replay.init(replay.row(steps), 20), steps)
-    rows = subgoals()
-    high_memory = replay.add(replay.init(replay.row(rows), 4), rows)
-    learned, _ = learn(learned, memory, high_memory, jnp.array(True), jax.random.key(1))
-    return jax.tree.leaves(learned.manager.actor_params)
+    state = run_after(60_000, learned, stored(control_rows(obs)), stored(subgoals()))
+    manager, _ = learn(state, jax.random.key(1))
+    return jax.tree.leaves(manager.actor.params)
 
 
 def test_landmarks_made_for_each_update_are_those_of_the_round_where_there_is_one_place():
-    obs = jnp.ones((20, SEEN))
-    for per_round, per_update in zip(taught(False, obs), taught(True, obs), strict=True):
+    for per_round, per_update in zip(taught(False, OBS), taught(True, OBS), strict=True):
         np.testing.assert_allclose(per_round, per_update, atol=1e-5)
     spread = 8.0 * jax.random.uniform(jax.random.key(2), (20, SEEN)) - 4.0
     pairs = zip(taught(False, spread), taught(True, spread), strict=True)

@@ -1,4 +1,7 @@
-"""What HIGL is made of: adjacency, novelty, the off-policy correction, the planner."""
+"""What HIGL is made of: adjacency, novelty, the off-policy correction, the planner.
+
+Compilation is nearly all that these tests take: each program is compiled once for all of them.
+"""
 
 import dataclasses
 import functools
@@ -9,8 +12,10 @@ import numpy as np
 import pytest
 
 from eihrl_jax import base, mazes
-from eihrl_jax.agents import replay
+from eihrl_jax.agents import optimisation, replay
+from eihrl_jax.baselines.actor_critic import ActorCriticState
 from eihrl_jax.baselines.higl import adjacency, higl, landmarks, learning, novelty, relabelling
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import higl as config
 from eihrl_jax.envs import goal_maze
 from tests.envs import sled
@@ -50,7 +55,7 @@ def test_a_maze_too_large_for_the_table_is_named():
     with pytest.raises(base.UserError, match=r"300 x 200 unit squares, must be at most 32768"):
         adjacency.AdjacencyNetwork(300, 200, config.Adjacency())
     options = config.HiglConfig(method="hiro", guidance="none")
-    learner = learning.Learning(4, 2, (200, 300), options)
+    learner = learning.Learning(4, World(None, 2, (200, 300), 10), options)
     assert jax.eval_shape(learner.init, jax.random.key(0)).places.table.shape == (1, 1)
 
 
@@ -60,7 +65,7 @@ def test_the_network_learns_what_is_adjacent():
     state, loss = jax.jit(network.fit)(state, jax.random.key(1))
     assert loss < 0.02
     here = jnp.broadcast_to(LINE[:1, 0], (6, 2))
-    excess = np.asarray(network.excess(state.params, here, LINE[:, 0]))
+    excess = np.asarray(network.excess(state.network.params, here, LINE[:, 0]))
     assert (excess[:3] == 0.0).all() and (excess[3:] > 0.0).all()
 
 
@@ -83,58 +88,78 @@ def test_the_most_novel_places_are_kept_until_they_are_visited_again():
     assert not np.isfinite(unseen.score).any()
 
 
-def test_a_walk_of_small_steps_leaves_its_most_novel_places_apart():
+def test_a_way_of_small_steps_leaves_its_most_novel_places_apart():
     options = config.Landmarks(num_novel=3, merge_radius=0.5, novelty_hidden=(16,))
     new = novelty.Novelty(2, options)
     state = new.init(jax.random.key(0))
-    walk = jnp.stack([0.2 * jnp.arange(20.0), jnp.zeros(20)], axis=1)
-    found = new.visit(state, walk, jnp.ones(20, bool))
+    way = jnp.stack([0.2 * jnp.arange(20.0), jnp.zeros(20)], axis=1)
+    found = new.visit(state, way, jnp.ones(20, bool))
     assert np.isfinite(found.score).all()
     apart = np.linalg.norm(found.obs[:, None] - found.obs[None], axis=-1) + np.eye(3)
     assert apart.min() >= 0.5
-    alone = [new.visit(state, xy[None], jnp.ones(1, bool)).score[0] for xy in walk]
+    alone = [new.visit(state, xy[None], jnp.ones(1, bool)).score[0] for xy in way]
     assert found.score[0] == pytest.approx(max(alone))
 
 
 @functools.cache
-def after_a_round(engine, costs_time):
-    """Returns HIRO's state after two subgoals of two robots."""
-    env = goal_maze.GoalMaze(engine(), mazes.parse("####\n#S1#\n####\n", num_decisions=2))
+def puppets():
+    """Returns a round of HIRO's robots, from what they do to its state after it.
+
+    Beside it stand the rewards that the manager is paid, by whether time costs something.
+    """
+    puppet = sled.Puppet()
+    env = goal_maze.GoalMaze(puppet, mazes.parse("####\n#S1#\n####\n", num_decisions=2))
     options = config.HiglConfig(
         method="hiro",
         guidance="none",
         num_envs=2,
         period=5,
         periods_per_round=2,
-        costs_time=costs_time,
         manager=config.Td3(hidden=(4,), reach=10.0),
         controller=config.Td3(hidden=(4,)),
         capacity=20,
         high_capacity=4,
     )
-    agent = higl.Higl(env, engine().model.nu, (12, 9), options)
-    return jax.jit(lambda key: agent.advance(agent.init(key))[0])(jax.random.key(0))
+    world = World(env, puppet.model.nu, (12, 9), 10)
+    costly, free = (
+        higl.Higl(world, dataclasses.replace(options, costs_time=costs)) for costs in (True, False)
+    )
+
+    @jax.jit
+    def play(deed):
+        puppet.deed = deed
+        state, period = costly._collect(costly.init(jax.random.key(0)), jax.random.key(1))
+        rows = replay.sample(state.high_replay, (100,), jax.random.key(0))
+        return state, {True: rows.reward, False: free._rows(period)[1].reward}
+
+    return play
+
+
+@functools.cache
+def after_a_round(deed):
+    """Returns HIRO's state after two subgoals of two robots, and what its manager is paid."""
+    return puppets()(jnp.int32(deed))
 
 
 @pytest.mark.parametrize("costs_time", [False, True])
 def test_the_manager_is_paid_per_control_step_as_released(costs_time):
-    state = after_a_round(sled.Stuck, costs_time)
-    rewards = replay.sample(state.high_memory, (100,), jax.random.key(0)).reward
+    _, rewards = after_a_round(sled.Deed.REST)
     # Nobody arrives: nothing is paid but the time.
-    assert set(rewards.tolist()) == {-5.0 if costs_time else 0.0}
+    assert set(rewards[costs_time].ravel().tolist()) == {-5.0 if costs_time else 0.0}
 
 
-@pytest.mark.parametrize(("engine", "counts"), [(sled.Stuck, True), (sled.Breaking, False)])
-def test_the_controller_does_not_learn_to_break_down(engine, counts):
-    steps = replay.sample(after_a_round(engine, True).memory, (100,), jax.random.key(0))
+@pytest.mark.parametrize(("deed", "counts"), [(sled.Deed.REST, True), (sled.Deed.BREAK, False)])
+def test_the_controller_does_not_learn_to_break_down(deed, counts):
+    state, _ = after_a_round(deed)
+    steps = replay.sample(state.low_replay, (100,), jax.random.key(0))
     assert (steps.is_running == counts).all()
 
 
-def test_a_subgoal_stays_one_place_while_the_robot_walks_towards_it():
-    memory = after_a_round(sled.Disc, True).memory
-    rows = replay.sample(memory, (400,), jax.random.key(0))
+def test_a_subgoal_stays_one_place_while_the_robot_goes_towards_it():
+    state, _ = after_a_round(sled.Deed.MOVE)
+    rows = replay.sample(state.low_replay, (400,), jax.random.key(0))
     xy = rows.obs[:, :2]
-    # Two robots had two subgoals each, and walked.
+    # Two robots had two subgoals each, and moved.
     assert num_distinct(xy[:, 0] + rows.subgoal[:, 0]) == 4
     assert num_distinct(xy[:, 0]) > 10
 
@@ -144,7 +169,7 @@ def num_distinct(numbers):
 
 
 def subgoal_row(subgoal):
-    """A controller that walks a tenth of the displacement left per step, for five steps."""
+    """A controller that goes a tenth of the displacement left per step, for five steps."""
     xy, obs, action = jnp.zeros(2), [], []
     for _ in range(5):
         obs.append(xy)
@@ -180,8 +205,8 @@ def test_the_correction_finds_the_subgoal_that_explains_what_was_done():
     np.testing.assert_allclose(relabelling.correct(told, act, 10.0, 12, jax.random.key(0)), wanted)
 
 
-class Walker:
-    """Stands in for the controller: a walk is worth minus its length."""
+class Goer:
+    """Stands in for the controller: a way is worth minus its length."""
 
     def act(self, actor_params, features):
         del actor_params
@@ -193,13 +218,14 @@ class Walker:
         return jnp.stack([-length, -length + 1.0])
 
 
-CONTROLLER = learning.td3.Td3State(*[None] * 6)
+TRAINED = optimisation.TrainState(params=None, opt_state=None)
+CONTROLLER = ActorCriticState(TRAINED, TRAINED, None, None, None)
 
 
 def lead(planner, graph, obs, goal_xy):
     """Returns where to go from each place on the way to its goal."""
-    ways = planner.ways(CONTROLLER, graph, goal_xy)
-    return planner.plan(CONTROLLER, graph, obs, goal_xy, ways)
+    ways = planner.ways(graph, goal_xy)
+    return planner.plan(graph, obs, goal_xy, ways)
 
 
 @pytest.mark.parametrize(("near", "then"), [(-2.0, [10.0, 5.0]), (-20.0, [10.0, 9.0])])
@@ -207,15 +233,17 @@ def test_the_planner_leads_along_the_landmarks(near, then):
     options = config.Landmarks(
         num_coverage=4, num_novel=2, pool=4, cutoff=-6.0, near=near, heat=5.0, rounds=4
     )
-    planner = landmarks.Planner(Walker(), options)
+    planner = landmarks.Planner(Goer(), CONTROLLER, options)
     pool = jnp.array([[0.0, 0.0], [5.0, 0.0], [10.0, 0.0], [10.0, 5.0]])
     new = novelty.Novelty(2, options).init(jax.random.key(0))
-    graph = planner.graph(CONTROLLER, pool, new)
+    graph = jax.jit(planner.graph)(pool, new)
     assert graph.is_valid.tolist() == [True] * 4 + [False] * 2
     goal = jnp.array([[10.0, 9.0]])
 
+    plan_for = jax.jit(lambda xy: lead(planner, graph, xy[None], goal)[0])
+
     def plan(x, y):
-        return lead(planner, graph, jnp.array([[x, y]]), goal)[0].tolist()
+        return plan_for(jnp.array([x, y])).tolist()
 
     assert plan(1.0, 0.5) == [5.0, 0.0]
     assert plan(9.0, 4.5) == then  # the goal lies within the cutoff
@@ -223,49 +251,50 @@ def test_the_planner_leads_along_the_landmarks(near, then):
     assert plan(10.0, 8.0) == [10.0, 9.0]  # near enough to go there itself
 
 
+@functools.cache
+def square(num_first=24):
+    """Returns sixty places in a square of twenty units, a graph of them, and how it leads."""
+    options = config.Landmarks(num_coverage=30, num_novel=1, pool=60, num_first=num_first)
+    options = dataclasses.replace(options, cutoff=-6.0, near=-2.0, heat=5.0)
+    planner = landmarks.Planner(Goer(), CONTROLLER, options)
+    pool = jax.random.uniform(jax.random.key(1), (60, 2), maxval=20.0)
+    new = novelty.Novelty(2, options).init(jax.random.key(0))
+    graph = jax.jit(planner.graph)(pool, new) if num_first == 24 else square()[1]
+    return pool, graph, jax.jit(lambda obs, goal_xy: lead(planner, graph, obs, goal_xy))
+
+
 def test_many_goals_are_planned_for_as_each_alone():
-    options = config.Landmarks(num_coverage=6, num_novel=1, pool=40, cutoff=-6.0, rounds=3)
-    planner = landmarks.Planner(Walker(), options)
-    pool = jax.random.uniform(jax.random.key(1), (40, 2), maxval=20.0)
-    graph = planner.graph(CONTROLLER, pool, novelty.Novelty(2, options).init(jax.random.key(0)))
-    goals = jax.random.uniform(jax.random.key(2), (40, 2), maxval=20.0)
-    all_at_once = lead(planner, graph, pool, goals)
-    for some in (slice(0, 20), slice(20, 40)):
-        found = lead(planner, graph, pool[some], goals[some])
-        np.testing.assert_allclose(found, all_at_once[some])
-    repeated = lead(planner, graph, pool, goals[jnp.arange(40) % 3])
-    for i in range(40):
-        alone = lead(planner, graph, pool[i : i + 1], goals[i % 3][None])
+    pool, _, lead = square()
+    goals = jax.random.uniform(jax.random.key(2), (60, 2), maxval=20.0)
+    all_at_once = lead(pool, goals)
+    for some in (slice(0, 30), slice(30, 60)):
+        np.testing.assert_allclose(lead(pool[some], goals[some]), all_at_once[some])
+    repeated = lead(pool, goals[jnp.arange(60) % 3])
+    for i in range(60):
+        alone = lead(pool[i : i + 1], goals[i % 3][None])
         np.testing.assert_allclose(repeated[i], alone[0])
 
 
 def test_the_first_landmark_is_among_the_nearest():
-    pool = jax.random.uniform(jax.random.key(1), (60, 2), maxval=20.0)
+    pool, graph, _ = square()
+    landmark_xy = graph.obs[graph.is_valid]
     goals = jax.random.uniform(jax.random.key(2), (60, 2), maxval=20.0)
-
-    def found(num_first):
-        options = config.Landmarks(num_coverage=30, num_novel=1, pool=60, num_first=num_first)
-        options = dataclasses.replace(options, cutoff=-6.0, near=-2.0, heat=5.0)
-        planner = landmarks.Planner(Walker(), options)
-        new = novelty.Novelty(2, options).init(jax.random.key(0))
-        graph = planner.graph(CONTROLLER, pool, new)
-        return graph.obs[graph.is_valid], lead(planner, graph, pool, goals)
-
-    landmark_xy, every = found(31)
+    every, more, fifteen, one = (square(num)[2](pool, goals) for num in (31, 100, 15, 1))
     apart = jnp.sqrt(jnp.square(every - pool).sum(-1))
     assert (apart > 3.0).sum() > 20
-    np.testing.assert_array_equal(found(100)[1], every)
-    np.testing.assert_array_equal(found(15)[1], every)  # more than lie within the cutoff
+    np.testing.assert_array_equal(more, every)
+    np.testing.assert_array_equal(fifteen, every)  # more than lie within the cutoff
     nearest = jnp.square(landmark_xy[None] - pool[:, None]).sum(-1).argmin(1)
     near_goal = jnp.square(goals - pool).sum(-1, keepdims=True) < 4.0
     expected = jnp.where(near_goal, goals, landmark_xy[nearest])
-    np.testing.assert_array_equal(found(1)[1], expected)
+    np.testing.assert_array_equal(one, expected)
 
 
 @pytest.mark.parametrize("moved", [False, True])
 def test_the_controller_is_paid_for_the_distance_left(moved):
     options = config.HiglConfig(stores_moved_subgoal=moved)
-    rows = learning.Learning(4, 2, (9, 9), options)
+    world = World(None, 2, (9, 9), 10)
+    learner = learning.Learning(4, world, options)
     row = learning.ControlRow(
         obs=jnp.array([1.0, 2.0, 7.0, 8.0]),
         subgoal=jnp.array([3.0, 0.0]),
@@ -275,9 +304,9 @@ def test_the_controller_is_paid_for_the_distance_left(moved):
         is_end=jnp.array(True),
         is_running=jnp.array(True),
     )
-    found = rows.control_transition(row)
-    assert found.obs.tolist() == [7.0, 8.0, 3.0, 0.0]
-    assert found.next_obs.tolist() == [7.5, 8.5, 2.0, 0.0]
-    assert found.discount == pytest.approx(0.95)  # its task goes on when the episode ends
+    transition = learner.control_transition(row)
+    assert transition.obs.tolist() == [7.0, 8.0, 3.0, 0.0]
+    assert transition.next_obs.tolist() == [7.5, 8.5, 2.0, 0.0]
+    assert transition.discount == pytest.approx(0.95)  # its task goes on when the episode ends
     quirky = dataclasses.replace(options, is_limit_terminal=True)
-    assert learning.Learning(4, 2, (9, 9), quirky).control_transition(row).discount == 0.0
+    assert learning.Learning(4, world, quirky).control_transition(row).discount == 0.0

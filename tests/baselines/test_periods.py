@@ -21,19 +21,19 @@ TEXT = """\
 
 
 @functools.cache
-def walked(reward):
+def two_periods(reward):
     """Returns two periods of three decisions to the east, with leading axes [2, 3 K, 1]."""
     env = goal_maze.GoalMaze(Sled(), mazes.parse(TEXT, num_decisions=9), reward=reward)
     envs = jax.vmap(env.reset)(jax.random.key(0)[None])
 
     def body(envs, key):
-        return periods.walk(
+        return periods.run(
             env,
             envs,
             3 * K,
-            lambda obs, is_first, key: jnp.zeros(2),
+            lambda obs, key: jnp.zeros(2),
             lambda obs, subgoal, key: jnp.zeros(8).at[0].set(0.5),
-            lambda subgoal, obs, next_obs: subgoal,
+            lambda subgoal, xy, next_xy: subgoal,
             key,
         )
 
@@ -41,7 +41,7 @@ def walked(reward):
 
 
 def test_a_goal_on_the_way_is_an_end_to_who_is_told_its_goal():
-    period = walked("sparse")
+    period = two_periods("sparse")
     rewards = np.asarray(period.reward[:, :, 0])
     assert rewards.sum() == 2.0 and bool(period.terminated[1, -1, 0])
     arrived = np.asarray(periods.has_arrived(period, "sparse")[:, :, 0])
@@ -53,7 +53,7 @@ def test_a_goal_on_the_way_is_an_end_to_who_is_told_its_goal():
 
 @pytest.mark.parametrize("costs_time", [False, True])
 def test_what_follows_a_goal_is_not_paid_for_it(costs_time):
-    period = walked("sparse")
+    period = two_periods("sparse")
     paid = np.asarray(periods.paid(period, costs_time, "sparse")[:, :, 0])
     for each, reward in zip(paid, np.asarray(period.reward[:, :, 0]), strict=True):
         at = int(np.argmax(reward))
@@ -63,6 +63,6 @@ def test_what_follows_a_goal_is_not_paid_for_it(costs_time):
 
 
 def test_dense_reward_goes_on_past_a_goal():
-    period = walked("dense")
+    period = two_periods("dense")
     assert not periods.has_arrived(period, "dense").any()
     np.testing.assert_allclose(periods.paid(period, True, "dense"), period.reward - 1.0)

@@ -1,7 +1,7 @@
 """Every learner finds the values and actions of problems so small that both are known.
 
 As in `tests.agents.probe_envs`, all problems are put to one learner at once, but as transitions,
-with actions drawn uniformly: what is tested is how a learner learns from its memory. Costs instead
+with actions drawn uniformly: what is tested is how a learner learns from its replay. Costs instead
 of rewards, since HESS's controller has no values above 0.
 """
 
@@ -116,8 +116,8 @@ def make(name):
         return Learner(
             agent.init,
             lambda state, batch, key: agent.update(state, batch, weight, key),
-            lambda state, obs: agent.act(state.actor_params, obs),
-            lambda state, obs, act: agent.values(state.critic_params, obs, act).mean(0),
+            lambda state, obs: agent.act(state.actor.params, obs),
+            lambda state, obs, act: agent.values(state.critics.params, obs, act).mean(0),
         )
     if name == "hess, upper level":
         options = hess.Sac(
@@ -127,8 +127,8 @@ def make(name):
         return Learner(
             agent.init,
             lambda state, batch, key: agent.update(state, batch, weight, key),
-            lambda state, obs: agent.mode(state.actor_params, obs),
-            lambda state, obs, act: agent._values(state.critic_params, obs, act).mean(0),
+            lambda state, obs: agent.mode(state.actor.params, obs),
+            lambda state, obs, act: agent.values(state.critics.params, obs, act).mean(0),
         )
     options = hess.Ddpg(
         hidden=(64, 64), critic_hidden=(64, 64), learning_rate=2e-3, gamma=GAMMA, target_rate=0.2
@@ -137,8 +137,8 @@ def make(name):
     return Learner(
         agent.init,
         lambda state, batch, key: agent.update(state, batch, weight, jnp.float32(1.0)),
-        lambda state, obs: agent.act(state.actor_params, obs),
-        lambda state, obs, act: agent._value(state.critic_params, obs, act),
+        lambda state, obs: agent.act(state.actor.params, obs),
+        lambda state, obs, act: agent.values(state.critics.params, obs, act)[0],
     )
 
 
@@ -146,6 +146,7 @@ def make(name):
 def trained(request):
     """Returns a learner, and its state after training on all kinds at once."""
     learner = make(request.param)
+    learner = dataclasses.replace(learner, act=jax.jit(learner.act), value=jax.jit(learner.value))
 
     def body(state, key):
         draw_key, update_key = jax.random.split(key)

@@ -32,7 +32,7 @@ def learn(make_batch, num_updates, penalty=None):
         weight = jnp.ones(OPTIONS.batch_size)
         return AGENT.update(state, make_batch(batch_key), weight, update_key, penalty)
 
-    state = AGENT.init(jax.random.key(0))
+    state = jax.jit(AGENT.init)(jax.random.key(0))
     keys = jax.random.split(jax.random.key(1), num_updates)
     return jax.jit(functools.partial(jax.lax.scan, body))(state, keys)
 
@@ -57,18 +57,19 @@ def test_a_penalty_moves_the_actor_and_not_the_critics():
         return transitions(key, 0.0)
 
     state, _ = learn(batch, 800, lambda action: 10.0 * jnp.square(action - 0.5).mean())
-    assert AGENT.act(state.actor_params, jnp.zeros(2)) == pytest.approx(0.5, abs=0.1)
-    found = AGENT.values(state.critic_params, jnp.zeros((1, 2)), jnp.full((1, 1), 0.5))
+    assert AGENT.act(state.actor.params, jnp.zeros(2)) == pytest.approx(0.5, abs=0.1)
+    found = AGENT.values(state.critics.params, jnp.zeros((1, 2)), jnp.full((1, 1), 0.5))
     assert found == pytest.approx(0.0, abs=0.05)
 
 
 def test_what_has_no_weight_teaches_nothing():
-    state = AGENT.init(jax.random.key(0))
+    state = jax.jit(AGENT.init)(jax.random.key(0))
     batch = transitions(jax.random.key(1), 100.0)
-    after, metrics = AGENT.update(state, batch, jnp.zeros(OPTIONS.batch_size), jax.random.key(2))
+    weight, key = jnp.zeros(OPTIONS.batch_size), jax.random.key(2)
+    after, metrics = jax.jit(AGENT.update)(state, batch, weight, key)
     assert metrics["critic_loss"] == 0.0
     for old, new in zip(
-        *map(jax.tree.leaves, (state.critic_params, after.critic_params)), strict=True
+        *map(jax.tree.leaves, (state.critics.params, after.critics.params)), strict=True
     ):
         assert jnp.array_equal(old, new)
 

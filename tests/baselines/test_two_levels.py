@@ -8,6 +8,7 @@ import pytest
 
 from eihrl_jax import mazes
 from eihrl_jax.baselines import interface
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import hess, higl, presets
 from eihrl_jax.envs import goal_maze
 from eihrl_jax.mazes import generators
@@ -85,7 +86,7 @@ def make_arena(method):
     )
     floor = generators.goals_anywhere(mazes.parse(FLOOR, num_decisions=NUM_DECISIONS))
     env = goal_maze.GoalMaze(sled.Disc(), floor)
-    baseline = interface.make(env, 2, env.side_xy, NUM_DECISIONS * sled.K, options)
+    baseline = interface.make(World(env, 2, env.side_xy, NUM_DECISIONS * sled.K), options)
     return baselines.Arena(method, env, env.side_xy, baseline)
 
 
@@ -101,5 +102,5 @@ def start_value(env, baseline, state):
     obs = jax.vmap(env.reset)(jax.random.split(jax.random.key(3), 50)).obs
     features = jax.vmap(baseline._manager_features)(obs)
     level, manager = baseline._learning.manager, state.learned.manager
-    subgoal = level.act(manager.actor_params, features)
-    return float(jnp.mean(level.values(manager.critic_params, features, subgoal).min(0)))
+    subgoal = level.act(manager.actor.params, features)
+    return float(jnp.mean(level.values(manager.critics.params, features, subgoal).min(0)))

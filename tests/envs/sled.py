@@ -1,6 +1,7 @@
 """A stand-in for physics, of which a test knows what it does."""
 
 import dataclasses
+import enum
 
 import jax.numpy as jnp
 
@@ -29,22 +30,6 @@ class Sled:
         return state.replace(qpos=jnp.where(is_running, qpos, state.qpos))
 
 
-class Stuck(Sled):
-    """Stands in for a robot that never moves."""
-
-    def step(self, state, ctrl, walls_xy, is_running):
-        del ctrl, walls_xy, is_running
-        return state
-
-
-class Breaking(Sled):
-    """Stands in for a simulation that breaks down at once."""
-
-    def step(self, state, ctrl, walls_xy, is_running):
-        del ctrl, walls_xy, is_running
-        return state.replace(qpos=state.qpos.at[7].set(jnp.nan))
-
-
 class Disc(Sled):
     """Stands in for a point, both controls of which move it; nothing else can happen to it."""
 
@@ -58,3 +43,34 @@ class Disc(Sled):
         del walls_xy
         qpos = state.qpos + base.CELL / K * ctrl
         return state.replace(qpos=jnp.where(is_running, qpos, state.qpos))
+
+
+class Deed(enum.IntEnum):
+    """What a `Puppet` does in every step."""
+
+    MOVE = 0
+    """As a disc."""
+    REST = 1
+    """Nothing."""
+    JUMP = 2
+    """A cell to the east."""
+    BREAK = 3
+    """Its simulation breaks down."""
+
+
+class Puppet(Disc):
+    """Stands in for a point that does what `deed` says, which may be traced: one program for all.
+
+    Attributes:
+      deed: what it does in every step.
+    """
+
+    deed = Deed.MOVE
+
+    def step(self, state, ctrl, walls_xy, is_running):
+        """Does its deed."""
+        moved = super().step(state, ctrl, walls_xy, is_running).qpos
+        jumped = state.qpos + jnp.where(is_running, jnp.array([base.CELL, 0.0]), 0.0)
+        broken = jnp.full_like(moved, jnp.nan)
+        qpos = jnp.stack([moved, state.qpos, jumped, broken])[self.deed]
+        return state.replace(qpos=qpos)

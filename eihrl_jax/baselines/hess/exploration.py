@@ -35,31 +35,19 @@ def init() -> ExplorationState:
     return ExplorationState(visits=zeros, novelty=jnp.ones_like(zeros), misses=zeros)
 
 
-def visit(
-    state: ExplorationState,
-    place: Float[Array, "*B 2"],
-    is_valid: Bool[Array, "*B"],
+def add(
+    numbers: Float[Array, "S S"],
+    embedding: Float[Array, "*B 2"],
+    amount: Float[Array, "*B"],
     side: float,
-) -> ExplorationState:
-    """Counts visited states; `side` is that of a square."""
-    i, j = square(place, side)
-    return state.replace(visits=state.visits.at[i, j].add(is_valid.astype(jnp.float32)))
-
-
-def miss(
-    state: ExplorationState,
-    subgoal: Float[Array, "*B 2"],
-    distance: Float[Array, "*B"],
-    side: float,
-) -> ExplorationState:
-    """Adds by how much subgoals were missed at the end of their periods; 0 where none was."""
-    i, j = square(subgoal, side)
-    return state.replace(misses=state.misses.at[i, j].add(distance))
+) -> Float[Array, "S S"]:
+    """Adds amounts to the squares in which embeddings lie; `side` is that of a square."""
+    return numbers.at[square(embedding, side)].add(amount)
 
 
 def look_ahead(
     state: ExplorationState,
-    place: Float[Array, "E J 2"],
+    embedding: Float[Array, "E J 2"],
     is_valid: Bool[Array, "E J"],
     options: config_lib.Exploration,
 ) -> ExplorationState:
@@ -70,22 +58,22 @@ def look_ahead(
 
     Args:
       state: the counts so far.
-      place: where periods ended, in the order of time.
+      embedding: where periods ended, in the order of time.
       is_valid: whether there was such a period.
       options: discount and side of a square.
     """
-    i, j = square(place, options.square)
-    counts = jnp.where(is_valid, state.visits[i, j], 0.0)
+    counts = jnp.where(is_valid, state.visits[square(embedding, options.square)], 0.0)
 
     def back(ahead: Float[Array, " E"], count: Float[Array, " E"]) -> tuple[Array, Array]:
         total = count + options.gamma * ahead
         return total, total
 
-    _, totals = jax.lax.scan(back, jnp.zeros(place.shape[0]), counts.T, reverse=True)
-    weight = is_valid.astype(jnp.float32)
-    zeros = jnp.zeros((NUM_SQUARES, NUM_SQUARES))
-    sums = zeros.at[i, j].add(weight * totals.T)
-    return state.replace(novelty=(sums + 1.0) / (zeros.at[i, j].add(weight) + 1.0))
+    _, totals = jax.lax.scan(back, jnp.zeros(embedding.shape[0]), counts.T, reverse=True)
+
+    weight, zeros = is_valid.astype(jnp.float32), jnp.zeros_like(state.visits)
+    sums = add(zeros, embedding, weight * totals.T, options.square)
+    numbers = add(zeros, embedding, weight, options.square)
+    return state.replace(novelty=(sums + 1.0) / (numbers + 1.0))
 
 
 def select(
@@ -96,31 +84,35 @@ def select(
     options: config_lib.Exploration,
     key: Key[Array, ""],
 ) -> Float[Array, "2"]:
-    """Picks the most promising of some visited places within reach.
+    """Picks the most promising of some visited states within reach.
 
     Args:
       state: what is known about the squares.
       here: where the robot is in the subgoal space.
-      candidates: places that have been visited.
-      has_potential: whether places that were missed are avoided already.
+      candidates: where states lie there that have been visited.
+      has_potential: whether squares that were missed are avoided already.
       options: reach and weights.
       key: consumed, to choose where nothing is within reach.
 
     Returns:
-      The place of the least novelty count plus weighted misses; any, if none is within reach.
+      The candidate of the least novelty count plus weighted misses; any, if none is within reach.
     """
     distance = jnp.sqrt(jnp.square(candidates - here[None]).sum(-1))
     is_near = (distance > 0.0) & (distance < options.reach)
-    i, j = square(candidates, options.square)
+
+    index = square(candidates, options.square)
     weight = jnp.where(has_potential, options.miss_weight, 0.0)
-    cost = state.novelty[i, j] + weight * state.misses[i, j]
-    any_place = jax.random.randint(key, (), 0, candidates.shape[0])
+    cost = state.novelty[index] + weight * state.misses[index]
+
+    any_of_them = jax.random.randint(key, (), 0, candidates.shape[0])
     best = jnp.argmin(jnp.where(is_near, cost, jnp.inf))
-    return candidates[jnp.where(is_near.any(), best, any_place)]
+    return candidates[jnp.where(is_near.any(), best, any_of_them)]
 
 
-def square(place: Float[Array, "*B 2"], side: float) -> tuple[Int[Array, "*B"], Int[Array, "*B"]]:
-    """Returns the numbers of the squares that places lie in."""
-    index = jnp.floor(place / side).astype(jnp.int32) + NUM_SQUARES // 2
+def square(
+    embedding: Float[Array, "*B 2"], side: float
+) -> tuple[Int[Array, "*B"], Int[Array, "*B"]]:
+    """Returns the numbers of the squares that embeddings lie in."""
+    index = jnp.floor(embedding / side).astype(jnp.int32) + NUM_SQUARES // 2
     index = jnp.clip(index, 0, NUM_SQUARES - 1)
     return index[..., 0], index[..., 1]

@@ -1,80 +1,39 @@
 """HESS as a whole: a round is one episode in every environment, and what is learned from it."""
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from eihrl_jax import base
 from eihrl_jax.agents import replay
 from eihrl_jax.baselines import periods
 from eihrl_jax.baselines.hess import episodes as episodes_lib
-from eihrl_jax.baselines.hess import exploration, learning, representation
+from eihrl_jax.baselines.hess import exploration, learning
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import hess as config_lib
-
-Policy = dict[str, base.Params]
-"""What acts: parameters of `manager`, `controller` and `representation`."""
+from eihrl_jax.ops import tree
 
 _RECENT = 0.2
 """Weight of the last round in means of recent rounds."""
 
 
-class HessState(struct.PyTreeNode):
-    """All that a run needs to go on. N: number of environments.
-
-    Attributes:
-      learned: both levels and the subgoal space.
-      squares: what is known about places in it.
-      episodes: the memory of whole episodes.
-      high_memory: `learning.SubgoalRow`s.
-      envs: environments with leading axis N.
-      key: of what comes next.
-      success: float32, share of recent episodes in which all goals were visited.
-      miss: float32, by how much exploration's subgoals of an episode were missed in sum, recently,
-        in the subgoal space; inf: it hasn't begun.
-      num_steps: int32, control steps of all environments so far.
-    """
-
-    learned: learning.Learned
-    squares: exploration.ExplorationState
-    episodes: episodes_lib.Episodes
-    high_memory: replay.Replay
-    envs: base.EnvState
-    key: Key[Array, ""]
-    success: Float[Array, ""]
-    miss: Float[Array, ""]
-    num_steps: Int[Array, ""]
-
-
-class Chosen(struct.PyTreeNode):
-    """A subgoal while exploring; places in the subgoal space.
+class ExplorationChoice(struct.PyTreeNode):
+    """A subgoal while exploring; all of it in the subgoal space.
 
     Attributes:
       target: float32 [2], where to go.
       action: float32 [2], the manager's action that leads there.
-      place: float32 [2], the place that was chosen, of which the target may lie beyond.
+      embedding: float32 [2], what was chosen, of which the target may lie beyond.
       is_exploring: whether exploration chose it.
     """
 
     target: Float[Array, "2"]
     action: Float[Array, "2"]
-    place: Float[Array, "2"]
+    embedding: Float[Array, "2"]
     is_exploring: Bool[Array, ""]
-
-
-class HessCarry(struct.PyTreeNode):
-    """What is remembered between control steps.
-
-    Attributes:
-      subgoal: float32 [2], where to go, in the subgoal space.
-      steps_left: int32, control steps left in the period.
-    """
-
-    subgoal: Float[Array, "2"]
-    steps_left: Int[Array, ""]
 
 
 class Hess:
@@ -85,189 +44,160 @@ class Hess:
       steps_per_round: control steps of all environments in a round, rests included.
     """
 
-    def __init__(
-        self,
-        env: base.Environment,
-        num_actions: int,
-        side_xy: tuple[int, int],
-        episode_steps: int,
-        options: config_lib.HessConfig,
-    ):
-        """Builds the learners.
-
-        Args:
-          env: where the robots walk; its observation is a `base.GoalObs`, and its `step` rests
-            where the episode is over.
-          num_actions: size A of the robot's controls.
-          side_xy: the arena's sides in units, its upper left corner at the origin.
-          episode_steps: control steps of an episode.
-          options: of the run.
-        """
+    def __init__(self, world: World, options: config_lib.HessConfig):
+        """Builds the learners."""
         self.options = options
-        self._env = env
-        self._centre_xy = side_xy[0] / 2.0, -side_xy[1] / 2.0
-        self._num_periods = options.num_periods(episode_steps)
+        self._world = world
+        self._num_periods = options.num_periods(world.episode_steps)
         self.steps_per_round = options.num_envs * self._num_periods * options.period
-        obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
-        num_seen = jax.eval_shape(self.see, obs).shape[0]
-        self._sizes = num_seen, num_actions
-        self._learning = learning.Learning(
-            num_seen, num_actions, episode_steps, self.steps_per_round, options
-        )
+        self._num_seen = world.num_features(self.see)
+        self._learning = learning.Learning(self._num_seen, world, self.steps_per_round, options)
 
-    def init(self, key: Key[Array, ""]) -> HessState:
-        """Returns the state of a run that is about to start, its memories still empty."""
+    def init(self, key: Key[Array, ""]) -> learning.HessState:
+        """Returns the state of a run that is about to start, without episodes and subgoals."""
         key, learned_key, env_key = jax.random.split(key, 3)
-        num_envs, capacity = self.options.num_envs, self.options.capacity
-        per_round = num_envs * self._num_periods
+        # A round's subgoals must not wrap around the end of their replay.
+        per_round = self.options.num_envs * self._num_periods
         high_capacity = -(-self.options.high_capacity // per_round) * per_round
-        episodes = episodes_lib.init(capacity, self.options.period, self._num_periods, self._sizes)
-        return HessState(
-            learned=self._learning.init(episodes.action.shape[1], learned_key),
+        return learning.HessState(
+            learned=self._learning.init(learned_key),
             squares=exploration.init(),
-            episodes=episodes,
-            high_memory=replay.init(self._learning.subgoal_row(), high_capacity),
-            envs=jax.vmap(self._env.reset)(jax.random.split(env_key, num_envs)),
+            episodes=episodes_lib.init(
+                self.options.capacity,
+                self.options.period,
+                self._num_periods,
+                (self._num_seen, self._world.num_actions),
+            ),
+            high_replay=replay.init(learning.empty_row(self._num_seen + 2), high_capacity),
+            envs=self._world.reset(self.options.num_envs, env_key),
             key=key,
             success=jnp.float32(0.0),
             miss=jnp.float32(jnp.inf),
             num_steps=jnp.int32(0),
         )
 
-    def advance(self, state: HessState) -> tuple[HessState, dict[str, Float[Array, ""]]]:
-        """Walks an episode in every environment and learns from them.
+    def advance(
+        self, state: learning.HessState
+    ) -> tuple[learning.HessState, dict[str, Float[Array, ""]]]:
+        """Acts for an episode in every environment and learns from them.
 
         The subgoal space is trained before that, so that both levels have learned with it as it is
         when they are evaluated.
-
-        Returns:
-          The new state, and scalars: means of what the learners tell, and sums over the episodes
-          that ended, their names beginning with `sum_`, see `periods.summarise`.
         """
-        key, walk_key, learn_key, space_key = jax.random.split(state.key, 4)
-        state, space_loss = self._train_space(state, space_key)
-        envs, walked = self._walk_round(state, walk_key)
-        state = state.replace(
-            envs=envs,
-            key=key,
-            num_steps=state.num_steps + self.steps_per_round,
-        )
-        state = self._remember(state, walked)
-        num_subgoals = self.options.num_envs * self._num_periods
-        learned, metrics = self._learning.learn(
-            state.learned,
-            state.episodes,
-            state.high_memory,
-            state.num_steps,
-            num_subgoals,
-            learn_key,
-        )
-        state = state.replace(learned=learned)
+        key, act_key, learn_key, space_key = jax.random.split(state.key, 4)
+        state, space_loss = self._learning.train_space(state, space_key)
+        state = state.replace(squares=self._look_ahead(state))
+
+        envs, period = self._run_round(state, act_key)
+        num_steps = state.num_steps + self.steps_per_round
+        state = state.replace(envs=envs, key=key, num_steps=num_steps)
+        state = self._store(state, period)
+
+        state, metrics = self._learning.learn(state, learn_key)
         metrics |= {
             "representation_loss": space_loss,
             "miss": state.miss,
             "exploring": self._exploring_share(state),
         }
-        return state, metrics | periods.summarise(walked)
+        return state, metrics | periods.sum_ends(periods.is_end(period), period.metrics)
 
-    def policy(self, state: HessState) -> Policy:
-        """Returns what acts."""
+    def policy(self, state: learning.HessState) -> dict[str, base.Params]:
+        """Returns what acts: `manager` and `controller`, and the `representation` for them."""
         return {
-            "manager": state.learned.manager.actor_params,
-            "controller": state.learned.controller.actor_params,
-            "representation": state.learned.space.params,
+            "manager": state.learned.manager.actor.params,
+            "controller": state.learned.controller.actor.params,
+            "representation": state.learned.space.network.params,
         }
 
-    def start(self) -> HessCarry:
+    def start(self) -> periods.Carry:
         """Returns the carry at the beginning of an episode."""
-        return HessCarry(subgoal=jnp.zeros(2), steps_left=jnp.int32(0))
+        return periods.Carry.start()
 
     def act(
-        self, policy: Policy, carry: HessCarry, obs: base.GoalObs
-    ) -> tuple[Float[Array, " nu"], HessCarry]:
+        self, policy: dict[str, base.Params], carry: periods.Carry, obs: base.GoalObs
+    ) -> tuple[Float[Array, " nu"], periods.Carry]:
         """Returns controls in [-1, 1] without exploration, and the carry of the next step."""
-        is_new = carry.steps_left == 0
         action = self._learning.manager.mode(policy["manager"], self._manager_features(obs))
-        place = self._learning.space.place(policy["representation"], self.see(obs))
-        subgoal = jnp.where(is_new, place + action, carry.subgoal)
-        features = jnp.concatenate([self.see(obs), place, subgoal])
-        left = jnp.where(is_new, jnp.int32(self.options.period), carry.steps_left) - 1
-        ctrl = self._learning.controller.act(policy["controller"], features)
-        return ctrl, HessCarry(subgoal=subgoal, steps_left=left)
+        seen = self.see(obs)
+        here = self._learning.space.embed(policy["representation"], seen)
+        carry = carry.advance(here + action, obs.xy, self.options.period, _stay)
+        features = learning.controller_features(seen, here, carry.subgoal)
+        return self._learning.controller.act(policy["controller"], features), carry
 
-    def see(self, obs: base.GoalObs) -> Float[Array, " F"]:
+    def see(self, obs: base.GoalObs) -> Float[Array, "*B F"]:
         """Returns what both levels see: x and y from the arena's centre, and the robot."""
-        return jnp.concatenate([obs.xy - jnp.array(self._centre_xy), obs.proprioception])
+        return jnp.concatenate([self._world.centred(obs.xy), obs.proprioception], axis=-1)
 
-    def _manager_features(self, obs: base.GoalObs) -> Float[Array, " M"]:
-        goal_xy = obs.goal_xy - jnp.array(self._centre_xy)
-        return jnp.concatenate([self.see(obs), goal_xy])
+    def _manager_features(self, obs: base.GoalObs) -> Float[Array, "*B M"]:
+        return jnp.concatenate([self.see(obs), self._world.centred(obs.goal_xy)], axis=-1)
 
-    def _exploring_share(self, state: HessState) -> Float[Array, ""]:
+    def _exploring_share(self, state: learning.HessState) -> Float[Array, ""]:
         """Returns the share of subgoals that exploration chooses."""
         options = self.options.exploration
         share = jax.nn.sigmoid(1.0 - 2.0 * options.success_weight * state.success)
         return jnp.where(state.num_steps >= options.first_step, share, 0.0)
 
-    def _train_space(
-        self, state: HessState, key: Key[Array, ""]
-    ) -> tuple[HessState, Float[Array, ""]]:
-        """Trains the subgoal space and looks ahead in it, where that is due; see `train_space`."""
-        learned, loss = self._learning.train_space(
-            state.learned, state.episodes, state.num_steps, state.miss, key
+    def _look_ahead(self, state: learning.HessState) -> exploration.ExplorationState:
+        """Computes the novelty of squares anew where that is due."""
+        options = self.options.exploration
+        is_due = periods.is_due(state.num_steps, self.steps_per_round, options.every)
+        # Before anything has been counted, squares that hold much would be the least novel ones.
+        is_due &= state.squares.visits.any()
+        obs, is_there = episodes_lib.period_ends(state.episodes)
+        ends = self._learning.space.embed(state.learned.space.network.params, obs)
+        return jax.lax.cond(
+            is_due,
+            lambda squares: exploration.look_ahead(squares, ends, is_there, options),
+            lambda squares: squares,
+            state.squares,
         )
-        state = state.replace(learned=learned)
-        return state.replace(squares=self._look_ahead(state)), loss
 
-    def _walk_round(
-        self, state: HessState, key: Key[Array, ""]
-    ) -> tuple[base.EnvState, periods.Period]:
-        """Walks one episode in every environment; leading axes [J, c, N]."""
-        params = state.learned.space.params
+    def _run_round(
+        self, state: learning.HessState, key: Key[Array, ""]
+    ) -> tuple[base.EnvState, periods.Period[ExplorationChoice]]:
+        """Runs one episode in every environment; leading axes [J, c, N]."""
+        learned, controller = state.learned, self._learning.controller
 
-        def act(obs: base.GoalObs, subgoal: Chosen, key: Key[Array, ""]) -> Array:
+        def act(
+            obs: base.GoalObs, choice: ExplorationChoice, key: Key[Array, ""]
+        ) -> Float[Array, " nu"]:
             seen = self.see(obs)
-            place = self._learning.space.place(params, seen)
-            features = jnp.concatenate([seen, place, subgoal.target])
-            action = self._learning.controller.act(state.learned.controller.actor_params, features)
-            return self._learning.controller.explore(action, key)
+            here = self._learning.space.embed(learned.space.network.params, seen)
+            features = learning.controller_features(seen, here, choice.target)
+            action = controller.act(learned.controller.actor.params, features)
+            return controller.explore(action, key)
 
-        def body(envs: base.EnvState, key: Key[Array, ""]) -> tuple[base.EnvState, periods.Period]:
-            return periods.walk(
-                self._env,
-                envs,
-                self.options.period,
-                functools.partial(self._choose, state),
-                act,
-                lambda subgoal, obs, next_obs: subgoal,
-                key,
-            )
+        def body(
+            envs: base.EnvState, key: Key[Array, ""]
+        ) -> tuple[base.EnvState, periods.Period[ExplorationChoice]]:
+            choose = functools.partial(self._choose, state)
+            return periods.run(self._world.env, envs, self.options.period, choose, act, _stay, key)
 
-        envs = periods.renew(self._env, state.envs, jnp.ones(self.options.num_envs, bool))
+        everywhere = jnp.ones(self.options.num_envs, bool)
+        envs = periods.renew(self._world.env, state.envs, everywhere)
         return jax.lax.scan(body, envs, jax.random.split(key, self._num_periods))
 
     def _choose(
-        self,
-        state: HessState,
-        obs: base.GoalObs,
-        is_first: Bool[Array, ""],
-        key: Key[Array, ""],
-    ) -> Chosen:
+        self, state: learning.HessState, obs: base.GoalObs, key: Key[Array, ""]
+    ) -> ExplorationChoice:
         """Chooses where to go while exploring."""
-        del is_first
         options = self.options.exploration
         share_key, act_key, any_key, draw_key, select_key = jax.random.split(key, 5)
-        params = state.learned.space.params
-        here = self._learning.space.place(params, self.see(obs))
-        own = self._learning.manager.sample(
-            state.learned.manager.actor_params, self._manager_features(obs), act_key
+        space, manager = self._learning.space, self._learning.manager
+        params = state.learned.space.network.params
+        here = space.embed(params, self.see(obs))
+
+        # What the manager would do, at first anything.
+        own = manager.sample(
+            state.learned.manager.actor.params, self._manager_features(obs), act_key
         )
         reach = self.options.manager.reach
         drawn = jax.random.uniform(any_key, own.shape, minval=-reach, maxval=reach)
         own = jnp.where(state.num_steps < self.options.random_steps, drawn, own)
 
-        drawn_steps = episodes_lib.sample(state.episodes, (options.num_candidates,), draw_key)
-        candidates = self._learning.space.place(params, drawn_steps.obs)
+        # Li et al. 2021, Sec. 3.2 and 3.3: what exploration would do, later beyond what it chose.
+        steps = episodes_lib.sample(state.episodes, (options.num_candidates,), draw_key)
+        candidates = space.embed(params, steps.obs)
         has_potential = state.num_steps >= options.potential_step
         chosen = exploration.select(
             state.squares, here, candidates, has_potential, options, select_key
@@ -275,41 +205,51 @@ class Hess:
         way = chosen - here
         length = jnp.sqrt(jnp.square(way).sum() + 1e-12)
         beyond = jnp.where(has_potential, options.extension, 0.0) * way / length
+
         is_exploring = jax.random.bernoulli(share_key, self._exploring_share(state))
         action = jnp.where(is_exploring, way + beyond, own)
-        place = jnp.where(is_exploring, chosen, here + own)
-        return Chosen(target=here + action, action=action, place=place, is_exploring=is_exploring)
-
-    def _remember(self, state: HessState, walked: periods.Period) -> HessState:
-        """Stores a round, and counts where it led, once the subgoal space has been trained."""
-        space = state.learned.space
-        batch = self._episode_batch(space.params, walked)
-        reached = batch.place[:, self.options.period :: self.options.period]
-        chosen = jax.tree.map(lambda leaf: leaf[:, 0].swapaxes(0, 1), walked.subgoal)
-        # A robot whose episode has ended at its goal doesn't go on to its subgoal. An episode's
-        # last subgoal isn't looked back on, as released: time may be up before it.
-        has_ended = walked.terminated[:, -1].at[-1].set(True).T
-        is_selected = walked.is_running[:, 0].T & chosen.is_exploring & ~has_ended
-        square = self.options.exploration.square
-        steps = jnp.arange(batch.place.shape[1], dtype=jnp.int32)
-        was_there = (steps[None] <= batch.length[:, None]) & (space.num_blocks > 0)
-        squares = exploration.visit(state.squares, batch.place, was_there, square)
-        distance = jnp.sqrt(jnp.square(batch.subgoal - reached).sum(-1))
-        distance = jnp.where(is_selected, distance, 0.0)
-        squares = exploration.miss(squares, chosen.place, distance, square)
-        is_end = periods.is_end(walked)
-        num_solved = (is_end & (walked.metrics["success"] == 1.0)).sum(dtype=jnp.float32)
-        success = num_solved / jnp.maximum(is_end.sum(dtype=jnp.float32), 1.0)
-        return state.replace(
-            squares=squares,
-            episodes=episodes_lib.add(state.episodes, batch),
-            high_memory=replay.add(state.high_memory, self._subgoal_rows(walked)),
-            success=(1.0 - _RECENT) * state.success + _RECENT * success,
-            miss=self._recent_miss(state, distance.sum(1).mean()),
-            learned=state.learned.replace(space=_with_new_episodes(state, batch)),
+        return ExplorationChoice(
+            target=here + action,
+            action=action,
+            embedding=jnp.where(is_exploring, chosen, here + own),
+            is_exploring=is_exploring,
         )
 
-    def _recent_miss(self, state: HessState, miss: Float[Array, ""]) -> Float[Array, ""]:
+    def _store(
+        self, state: learning.HessState, period: periods.Period[ExplorationChoice]
+    ) -> learning.HessState:
+        """Stores a round, and counts where it led, once the subgoal space has been trained."""
+        batch = self._episode_batch(state, period)
+        squares, side = state.squares, self.options.exploration.square
+
+        steps = jnp.arange(batch.embedding.shape[1], dtype=jnp.int32)
+        was_there = steps[None] <= batch.length[:, None]
+        was_there &= state.learned.space.num_blocks > 0
+        weight = was_there.astype(jnp.float32)
+        visits = exploration.add(squares.visits, batch.embedding, weight, side)
+
+        # A robot whose episode has ended at its goal doesn't go on to its subgoal. An episode's
+        # last subgoal isn't looked back on, as released: time may be up before it.
+        choice = jax.tree.map(lambda leaf: leaf[:, 0].swapaxes(0, 1), period.subgoal)
+        has_ended = period.terminated[:, -1].at[-1].set(True).T
+        is_selected = period.is_running[:, 0].T & choice.is_exploring & ~has_ended
+        reached = batch.embedding[:, self.options.period :: self.options.period]
+        distance = learning.distance_between(batch.subgoal, reached)
+        distance = jnp.where(is_selected, distance, 0.0)
+        misses = exploration.add(squares.misses, choice.embedding, distance, side)
+
+        is_end = periods.is_end(period)
+        num_solved = (is_end & (period.metrics["success"] == 1.0)).sum(dtype=jnp.float32)
+        success = num_solved / jnp.maximum(is_end.sum(dtype=jnp.float32), 1.0)
+        return state.replace(
+            squares=squares.replace(visits=visits, misses=misses),
+            episodes=episodes_lib.add(state.episodes, batch),
+            high_replay=replay.add(state.high_replay, self._subgoal_rows(period)),
+            success=(1.0 - _RECENT) * state.success + _RECENT * success,
+            miss=self._recent_miss(state, distance.sum(1).mean()),
+        )
+
+    def _recent_miss(self, state: learning.HessState, miss: Float[Array, ""]) -> Float[Array, ""]:
         """Returns `HessState.miss` after a round, whose episodes' mean is `miss`."""
         is_first = ~jnp.isfinite(state.miss)
         recent = jnp.where(is_first, miss, (1.0 - _RECENT) * state.miss + _RECENT * miss)
@@ -317,64 +257,47 @@ class Hess:
         has_explored = before >= self.options.exploration.first_step
         return jnp.where(has_explored, recent, state.miss)
 
-    def _look_ahead(self, state: HessState) -> exploration.ExplorationState:
-        """Computes the novelty of places anew where that is due."""
-        options = self.options.exploration
-        is_due = periods.is_due(state.num_steps, self.steps_per_round, options.every)
-        # Before anything has been counted, places that hold much would be the least novel ones.
-        is_due &= state.squares.visits.any()
-        obs, is_there = episodes_lib.period_ends(state.episodes)
-        place = self._learning.space.place(state.learned.space.params, obs)
-        return jax.lax.cond(
-            is_due,
-            lambda squares: exploration.look_ahead(squares, place, is_there, options),
-            lambda squares: squares,
-            state.squares,
-        )
-
-    def _episode_batch(self, params: Any, walked: periods.Period) -> episodes_lib.Episodes:
+    def _episode_batch(
+        self, state: learning.HessState, period: periods.Period[ExplorationChoice]
+    ) -> episodes_lib.Episodes:
         """Returns a round as episodes."""
-        see = jax.vmap(jax.vmap(jax.vmap(self.see)))
-        obs, last = see(walked.obs), see(walked.next_obs)[-1, -1]
-        by_time = obs.reshape(-1, *obs.shape[2:]).swapaxes(0, 1)
-        seen = jnp.concatenate([by_time, last[:, None]], axis=1)
-        action = walked.action.reshape(-1, *walked.action.shape[2:]).swapaxes(0, 1)
-        running = walked.is_running.reshape(-1, walked.is_running.shape[-1])
+        # From [J, c, N] to [N, J c], with what was seen after the last step behind it.
+        seen, action, is_running = jax.tree.map(
+            lambda leaf: tree.merge_axes(leaf, 2).swapaxes(0, 1),
+            (self.see(period.obs), period.action, period.is_running),
+        )
+        last = self.see(period.next_obs)[-1, -1]
+        seen = jnp.concatenate([seen, last[:, None]], axis=1)
         return episodes_lib.Episodes(
             obs=seen,
-            place=self._learning.space.place(params, seen),
+            embedding=self._learning.space.embed(state.learned.space.network.params, seen),
             action=action,
-            subgoal=walked.subgoal.target[:, 0].swapaxes(0, 1),
-            length=running.sum(0, dtype=jnp.int32),
+            subgoal=period.subgoal.target[:, 0].swapaxes(0, 1),
+            loss=jnp.full(is_running.shape, episodes_lib.UNKNOWN, jnp.float32),
+            length=is_running.sum(1, dtype=jnp.int32),
             position=jnp.int32(0),
         )
 
-    def _subgoal_rows(self, walked: periods.Period) -> learning.SubgoalRow:
+    def _subgoal_rows(self, period: periods.Period[ExplorationChoice]) -> learning.SubgoalRow:
         """Returns what the manager learns from a round, with one leading axis."""
-        see = jax.vmap(jax.vmap(self._manager_features))
-        first = jax.tree.map(lambda leaf: leaf[:, 0], walked.obs)
-        last = jax.tree.map(lambda leaf: leaf[:, -1], walked.next_obs)
-        ends = periods.is_task_over(walked, self.options.reward)
+        options = self.options
+        ends = periods.is_task_over(period, options.reward)
         rows = learning.SubgoalRow(
             transition=base.Transition(
-                obs=see(first),
-                action=walked.subgoal.action[:, 0],
-                reward=periods.paid(walked, self.options.costs_time, self.options.reward).sum(1),
-                discount=self.options.manager.gamma * (1.0 - ends.astype(jnp.float32)),
-                next_obs=see(last),
+                obs=self._manager_features(period.obs)[:, 0],
+                action=period.subgoal.action[:, 0],
+                reward=periods.paid(period, options.costs_time, options.reward).sum(1),
+                discount=options.manager.gamma * (1.0 - ends.astype(jnp.float32)),
+                next_obs=self._manager_features(period.next_obs)[:, -1],
             ),
-            is_running=walked.is_running[:, 0],
+            is_running=period.is_running[:, 0],
         )
-        return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), rows)
+        return tree.merge_axes(rows, 2)
 
 
-def _with_new_episodes(
-    state: HessState, batch: episodes_lib.Episodes
-) -> representation.RepresentationState:
-    """Returns the subgoal space, for which new episodes have taken the place of the oldest."""
-    space = state.learned.space
-    unknown = jnp.full((batch.length.shape[0], space.loss.shape[1]), representation.UNKNOWN)
-    position = state.episodes.position
-    return space.replace(
-        loss=jax.lax.dynamic_update_slice_in_dim(space.loss, unknown, position, axis=0)
-    )
+def _stay(
+    subgoal: periods.SubgoalT, xy: Float[Array, "2"], next_xy: Float[Array, "2"]
+) -> periods.SubgoalT:
+    """Returns the subgoal after a step: a place in the subgoal space, wherever the torso is."""
+    del xy, next_xy
+    return subgoal

@@ -5,7 +5,8 @@ Sec. 4. Which places were adjacent on the robot's way is kept in a table of unit
 are relative to the maze's centre, in units.
 """
 
-from typing import Any, cast
+import functools
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +27,11 @@ class AdjacencyState(struct.PyTreeNode):
     """What has been learned about distances. S: unit squares of the maze.
 
     Attributes:
-      params: of the network.
-      opt_state: of Adam.
+      network: what embeds places.
       table: bool [S, S], squares between which the robot went in few steps; symmetric.
     """
 
-    params: Any
-    opt_state: optax.OptState
+    network: optimisation.TrainState
     table: Bool[Array, "S S"]
 
 
@@ -65,8 +64,7 @@ class AdjacencyNetwork:
         params = self._network.init(key, jnp.zeros(2))["params"]
         size = self._shape[0] * self._shape[1]
         return AdjacencyState(
-            params=params,
-            opt_state=self._optimizer.init(params),
+            network=optimisation.init(self._optimizer, params),
             table=jnp.zeros((size, size), bool),
         )
 
@@ -86,8 +84,10 @@ class AdjacencyNetwork:
           is_end: whether its episode ended there; what follows is another way.
         """
         square = self._square(path_xy)
+        # The end of an episode still belongs to the way that it ends.
         ends = is_end.astype(jnp.int32)
         way = jnp.cumsum(ends, axis=0) - ends
+
         table = state.table
         for apart in range(min(self.options.steps, path_xy.shape[0] - 1) + 1):
             end = path_xy.shape[0] - apart
@@ -103,28 +103,31 @@ class AdjacencyNetwork:
         self, state: AdjacencyState, key: Key[Array, ""]
     ) -> tuple[AdjacencyState, Float[Array, ""]]:
         """Fits the network to the pairs of visited squares; returns the last loss too."""
+        # A square has been visited where it is adjacent to itself.
         is_visited = jnp.diagonal(state.table)
         num = is_visited.sum(dtype=jnp.int32)
         squares = jnp.nonzero(is_visited, size=is_visited.shape[0], fill_value=0)[0]
         squares = squares.astype(jnp.int32)
+
+        # As many updates as some epochs over all pairs have.
         pairs = num.astype(jnp.float32) ** 2 / 2.0
         wanted = self.options.epochs * pairs / self.options.batch_size
         num_updates = jnp.minimum(wanted, self.options.max_updates).astype(jnp.int32)
 
-        def body(i: Int[Array, ""], carry: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
-            params, opt_state, _ = carry
+        def body(
+            i: Int[Array, ""], carry: tuple[optimisation.TrainState, Float[Array, ""]]
+        ) -> tuple[optimisation.TrainState, Float[Array, ""]]:
             draw = jax.random.fold_in(key, i)
             pair = squares[jax.random.randint(draw, (2, self.options.batch_size), 0, num)]
             is_near = state.table[pair[0], pair[1]]
-            loss, grads = jax.value_and_grad(self._loss)(params, self._centre(pair), is_near)
-            return *optimisation.step(self._optimizer, grads, opt_state, params), loss
+            loss_fn = functools.partial(self._loss, pair_xy=self._centre(pair), is_near=is_near)
+            return optimisation.minimise(self._optimizer, loss_fn, carry[0])
 
-        start = state.params, state.opt_state, jnp.float32(0.0)
-        params, opt_state, loss = jax.lax.fori_loop(0, num_updates, body, start)
-        return state.replace(params=params, opt_state=opt_state), loss
+        network, loss = jax.lax.fori_loop(0, num_updates, body, (state.network, jnp.float32(0.0)))
+        return state.replace(network=network), loss
 
     def excess(
-        self, params: Any, from_xy: Float[Array, "B 2"], to_xy: Float[Array, "B 2"]
+        self, params: base.Params, from_xy: Float[Array, "B 2"], to_xy: Float[Array, "B 2"]
     ) -> Float[Array, " B"]:
         """Returns by how much embeddings are farther apart than those of adjacent places.
 
@@ -134,15 +137,16 @@ class AdjacencyNetwork:
         return jnp.maximum(self._distance(params, jnp.stack([from_xy, to_xy])) - limit, 0.0)
 
     def _loss(
-        self, params: Any, pair_xy: Float[Array, "2 B 2"], is_near: Bool[Array, " B"]
-    ) -> Float[Array, ""]:
-        """Returns the contrastive loss of pairs of places."""
+        self, params: base.Params, pair_xy: Float[Array, "2 B 2"], is_near: Bool[Array, " B"]
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Returns the contrastive loss of pairs of places, to be minimised and to be told."""
         distance = self._distance(params, pair_xy)
         near = jnp.maximum(distance - self.options.near, 0.0)
         far = jnp.maximum(self.options.far - distance, 0.0)
-        return jnp.where(is_near, near, far).mean()
+        loss = jnp.where(is_near, near, far).mean()
+        return loss, loss
 
-    def _distance(self, params: Any, pair_xy: Float[Array, "2 B 2"]) -> Float[Array, " B"]:
+    def _distance(self, params: base.Params, pair_xy: Float[Array, "2 B 2"]) -> Float[Array, " B"]:
         features = cast(Array, self._network.apply({"params": params}, pair_xy))
         # The square root has no slope at zero.
         return jnp.sqrt(jnp.square(features[0] - features[1]).sum(-1) + 1e-12)

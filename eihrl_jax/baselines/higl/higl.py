@@ -1,55 +1,16 @@
-"""HIGL as a whole: it walks a round of periods in every environment, then learns from it."""
-
-from typing import Any
+"""HIGL as a whole: a round is some periods in every environment, and what is learned from them."""
 
 import jax
 import jax.numpy as jnp
-from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Key
 
 from eihrl_jax import base
 from eihrl_jax.agents import replay
 from eihrl_jax.baselines import periods
 from eihrl_jax.baselines.higl import landmarks, learning, relabelling
+from eihrl_jax.baselines.world import World
 from eihrl_jax.config import higl as config_lib
-
-
-class HiglState(struct.PyTreeNode):
-    """All that a run needs to go on. N: number of environments.
-
-    Attributes:
-      learned: both levels, what is near what, and what is new.
-      memory: `learning.ControlRow`s.
-      high_memory: `relabelling.SubgoalRow`s.
-      envs: environments with leading axis N.
-      key: of what comes next.
-      num_steps: int32, control steps of all environments so far.
-    """
-
-    learned: learning.Learned
-    memory: replay.Replay
-    high_memory: replay.Replay
-    envs: base.EnvState
-    key: Key[Array, ""]
-    num_steps: Int[Array, ""]
-
-
-Policy = dict[str, base.Params]
-"""What acts: parameters of the actors `manager` and `controller`."""
-
-
-class HiglCarry(struct.PyTreeNode):
-    """What is remembered between control steps.
-
-    Attributes:
-      subgoal: float32 [2], the displacement that was left at the last step, units.
-      xy: float32 [2], where the torso was then, units.
-      steps_left: int32, control steps left in the period.
-    """
-
-    subgoal: Float[Array, "2"]
-    xy: Float[Array, "2"]
-    steps_left: Int[Array, ""]
+from eihrl_jax.ops import tree
 
 
 class Higl:
@@ -60,183 +21,148 @@ class Higl:
       steps_per_round: control steps of all environments in a round.
     """
 
-    def __init__(
-        self,
-        env: base.Environment,
-        num_actions: int,
-        side_xy: tuple[int, int],
-        options: config_lib.HiglConfig,
-    ):
-        """Builds the learners.
-
-        Args:
-          env: where the robots walk; its observation is a `base.GoalObs`, and its `step` rests
-            where the episode is over.
-          num_actions: size A of the robot's controls.
-          side_xy: the arena's sides in units, its upper left corner at the origin.
-          options: of the run.
-        """
+    def __init__(self, world: World, options: config_lib.HiglConfig):
+        """Builds the learners."""
         self.options = options
         self.steps_per_round = options.steps_per_round
-        self._env = env
-        self._centre_xy = side_xy[0] / 2.0, -side_xy[1] / 2.0
-        obs = jax.eval_shape(env.reset, jax.random.key(0)).obs
-        num_seen = jax.eval_shape(self.see, obs).shape[0]
-        self._learning = learning.Learning(num_seen, num_actions, side_xy, options)
+        self._world = world
+        self._learning = learning.Learning(world.num_features(self.see), world, options)
 
-    def init(self, key: Key[Array, ""]) -> HiglState:
-        """Returns the state of a run that is about to start, its memories still empty."""
+    def init(self, key: Key[Array, ""]) -> learning.HiglState:
+        """Returns the state of a run that is about to start, its replays still empty."""
         key, learned_key, env_key = jax.random.split(key, 3)
-        envs = jax.vmap(self._env.reset)(jax.random.split(env_key, self.options.num_envs))
+        envs = self._world.reset(self.options.num_envs, env_key)
         learned = self._learning.init(learned_key)
-        _, walked = jax.eval_shape(self._walk_round, _policy(learned), envs, key)
-        steps, subgoals = jax.eval_shape(self._rows, walked)
-        return HiglState(
+        steps, subgoals = jax.eval_shape(lambda: self._rows(self._run_round(learned, envs, key)[1]))
+        return learning.HiglState(
             learned=learned,
-            memory=replay.init(replay.row(steps), self.options.capacity),
-            high_memory=replay.init(replay.row(subgoals), self.options.high_capacity),
+            low_replay=replay.init(replay.row(steps, 3), self.options.capacity),
+            high_replay=replay.init(replay.row(subgoals, 2), self.options.high_capacity),
             envs=envs,
             key=key,
             num_steps=jnp.int32(0),
         )
 
-    def advance(self, state: HiglState) -> tuple[HiglState, dict[str, Float[Array, ""]]]:
-        """Walks a round and learns from it.
-
-        Returns:
-          The new state, and scalars: means of what the learners tell, and sums over the episodes
-          that ended, their names beginning with `sum_`, see `periods.summarise`.
-        """
-        key, walk_key, learn_key, fit_key = jax.random.split(state.key, 4)
-        envs, walked = self._walk_round(_policy(state.learned), state.envs, walk_key)
-        steps, subgoals = self._rows(walked)
-        memory = replay.add(state.memory, steps)
-        high_memory = replay.add(state.high_memory, subgoals)
-        num_steps = state.num_steps + self.options.steps_per_round
-
-        by_robot = jax.tree.map(
-            lambda leaf: leaf.reshape(-1, self.options.num_envs, *leaf.shape[1:]), steps
-        )
-        learned = self._learning.visit(state.learned, by_robot)
-        has_landmarks = num_steps >= self.options.landmarks.first_step
-        learned, metrics = self._learning.learn(
-            learned, memory, high_memory, has_landmarks, learn_key
-        )
+    def advance(
+        self, state: learning.HiglState
+    ) -> tuple[learning.HiglState, dict[str, Float[Array, ""]]]:
+        """Acts for a round and learns from it; returns metrics too."""
+        key, act_key, learn_key, fit_key = jax.random.split(state.key, 4)
+        state, period = self._collect(state.replace(key=key), act_key)
+        learned, metrics = self._learning.learn(state, learn_key)
         if self.options.guidance != "none":
             every = self.options.adjacency.period
-            is_due = periods.is_due(num_steps, self.options.steps_per_round, every)
+            is_due = periods.is_due(state.num_steps, self.steps_per_round, every)
             learned, metrics["adjacency_loss"] = self._learning.fit_places(learned, is_due, fit_key)
-        state = HiglState(
-            learned=learned,
-            memory=memory,
-            high_memory=high_memory,
-            envs=envs,
-            key=key,
-            num_steps=num_steps,
-        )
-        return state, metrics | periods.summarise(walked)
+        metrics |= periods.sum_ends(periods.is_end(period), period.metrics)
+        return state.replace(learned=learned), metrics
 
-    def policy(self, state: HiglState) -> Policy:
-        """Returns what acts."""
-        return _policy(state.learned)
+    def policy(self, state: learning.HiglState) -> dict[str, base.Params]:
+        """Returns what acts: the actors of `manager` and `controller`."""
+        learned = state.learned
+        return {
+            "manager": learned.manager.actor.params,
+            "controller": learned.controller.actor.params,
+        }
 
-    def start(self) -> HiglCarry:
+    def start(self) -> periods.Carry:
         """Returns the carry at the beginning of an episode."""
-        zero = jnp.zeros(learning.NUM_SUBGOAL)
-        return HiglCarry(subgoal=zero, xy=zero, steps_left=jnp.int32(0))
+        return periods.Carry.start()
 
     def act(
-        self, policy: Policy, carry: HiglCarry, obs: base.GoalObs
-    ) -> tuple[Float[Array, " nu"], HiglCarry]:
+        self, policy: dict[str, base.Params], carry: periods.Carry, obs: base.GoalObs
+    ) -> tuple[Float[Array, " nu"], periods.Carry]:
         """Returns controls in [-1, 1] without exploration, and the carry of the next step."""
-        is_new = carry.steps_left == 0
-        chosen = self._learning.manager.act(policy["manager"], self._manager_features(obs))
-        subgoal = jnp.where(is_new, chosen, carry.subgoal + carry.xy - obs.xy)
-        features = landmarks.controller_features(self.see(obs), subgoal)
+        subgoal = self._learning.manager.act(policy["manager"], self._manager_features(obs))
+        carry = carry.advance(subgoal, obs.xy, self.options.period, _move)
+        features = landmarks.controller_features(self.see(obs), carry.subgoal)
         action = self._learning.controller.act(policy["controller"], features)
-        left = jnp.where(is_new, jnp.int32(self.options.period), carry.steps_left) - 1
-        carry = HiglCarry(subgoal=subgoal, xy=obs.xy, steps_left=left)
         return action / self.options.controller.reach, carry
 
-    def see(self, obs: base.GoalObs) -> Float[Array, " F"]:
+    def see(self, obs: base.GoalObs) -> Float[Array, "*B F"]:
         """Returns what both levels see: x and y from the arena's centre, the robot, the time."""
-        return jnp.concatenate([self._centred(obs.xy), obs.proprioception, obs.time[None]])
-
-    def _centred(self, xy: Float[Array, "2"]) -> Float[Array, "2"]:
-        return xy - jnp.array(self._centre_xy)
+        xy = self._world.centred(obs.xy)
+        return jnp.concatenate([xy, obs.proprioception, obs.time[..., None]], axis=-1)
 
     def _manager_features(self, obs: base.GoalObs) -> Float[Array, " M"]:
-        return jnp.concatenate([self.see(obs), self._centred(obs.goal_xy)])
+        return jnp.concatenate([self.see(obs), self._world.centred(obs.goal_xy)])
 
-    def _walk_round(
-        self, policy: Policy, envs: base.EnvState, key: Key[Array, ""]
-    ) -> tuple[base.EnvState, periods.Period]:
-        """Walks some periods with exploration; leading axes [R, k, N].
+    def _collect(
+        self, state: learning.HiglState, key: Key[Array, ""]
+    ) -> tuple[learning.HiglState, periods.Period[Array]]:
+        """Acts for a round and stores it; returns what happened too."""
+        envs, period = self._run_round(state.learned, state.envs, key)
+        steps, subgoals = self._rows(period)
+        state = state.replace(
+            # One way per robot: a robot's steps of all periods in a row.
+            learned=self._learning.visit(state.learned, tree.merge_axes(steps, 2)),
+            low_replay=replay.add(state.low_replay, tree.merge_axes(steps, 3)),
+            high_replay=replay.add(state.high_replay, tree.merge_axes(subgoals, 2)),
+            envs=envs,
+            num_steps=state.num_steps + self.steps_per_round,
+        )
+        return state, period
 
-        An episode's first subgoal has no noise.
-        """
+    def _run_round(
+        self, learned: learning.Learned, envs: base.EnvState, key: Key[Array, ""]
+    ) -> tuple[base.EnvState, periods.Period[Array]]:
+        """Runs some periods with exploration; leading axes [R, k, N]."""
         manager, controller = self._learning.manager, self._learning.controller
 
-        def choose(obs: base.GoalObs, is_first: Bool[Array, ""], key: Key[Array, ""]) -> Array:
-            subgoal = manager.act(policy["manager"], self._manager_features(obs))
-            return jnp.where(is_first, subgoal, manager.explore(subgoal, key))
+        def choose(obs: base.GoalObs, key: Key[Array, ""]) -> Float[Array, "2"]:
+            subgoal = manager.act(learned.manager.actor.params, self._manager_features(obs))
+            # As released: an episode's first subgoal has no noise.
+            return jnp.where(obs.time == 0.0, subgoal, manager.explore(subgoal, key))
 
-        def act(obs: base.GoalObs, subgoal: Array, key: Key[Array, ""]) -> Array:
+        def act(
+            obs: base.GoalObs, subgoal: Float[Array, "2"], key: Key[Array, ""]
+        ) -> Float[Array, " A"]:
             features = landmarks.controller_features(self.see(obs), subgoal)
-            return controller.explore(controller.act(policy["controller"], features), key)
+            action = controller.act(learned.controller.actor.params, features)
+            return controller.explore(action, key)
 
-        def body(envs: base.EnvState, key: Key[Array, ""]) -> tuple[base.EnvState, periods.Period]:
-            envs = periods.renew(self._env, envs, envs.is_over)
-            return periods.walk(
-                self._env,
-                envs,
-                self.options.period,
-                choose,
-                act,
-                lambda subgoal, obs, next_obs: subgoal + obs.xy - next_obs.xy,
-                key,
-                reach=self.options.controller.reach,
-            )
+        def body(
+            envs: base.EnvState, key: Key[Array, ""]
+        ) -> tuple[base.EnvState, periods.Period[Array]]:
+            env, k, reach = self._world.env, self.options.period, self.options.controller.reach
+            envs = periods.renew(env, envs, envs.is_over)
+            return periods.run(env, envs, k, choose, act, _move, key, reach=reach)
 
         return jax.lax.scan(body, envs, jax.random.split(key, self.options.periods_per_round))
 
-    def _rows(self, walked: periods.Period) -> tuple[learning.ControlRow, relabelling.SubgoalRow]:
-        """Returns what is stored of a round, with one leading axis each."""
-        see = jax.vmap(jax.vmap(jax.vmap(self.see)))
-        obs, next_obs = see(walked.obs), see(walked.next_obs)
-        left = walked.subgoal + obs[..., :2] - next_obs[..., :2]
+    def _rows(
+        self, period: periods.Period[Array]
+    ) -> tuple[learning.ControlRow, relabelling.SubgoalRow]:
+        """Returns what is stored of a round, with leading axes [R, k, N] and [R, N]."""
+        obs, next_obs = self.see(period.obs), self.see(period.next_obs)
+        left = _move(period.subgoal, obs[..., :2], next_obs[..., :2])
         steps = learning.ControlRow(
             obs=obs,
-            subgoal=left if self.options.stores_moved_subgoal else walked.subgoal,
-            action=walked.action,
+            subgoal=left if self.options.stores_moved_subgoal else period.subgoal,
+            action=period.action,
             reward=-jnp.sqrt(jnp.square(left).sum(-1)),
             next_obs=next_obs,
-            is_end=walked.terminated | walked.truncated,
+            is_end=period.terminated | period.truncated,
             # A simulation that breaks down would be an end without a value: nothing costs less.
-            is_running=walked.is_running & (walked.metrics["broke_down"] == 0.0),
+            is_running=period.is_running & (period.metrics["broke_down"] == 0.0),
         )
         subgoals = relabelling.SubgoalRow(
             obs=obs.swapaxes(1, 2),
-            action=walked.action.swapaxes(1, 2),
-            is_running=walked.is_running.swapaxes(1, 2),
-            subgoal=walked.subgoal[:, 0],
-            goal_xy=jax.vmap(jax.vmap(self._centred))(walked.obs.goal_xy[:, 0]),
-            reward=periods.paid(walked, self.options.costs_time, self.options.reward).sum(1),
+            action=period.action.swapaxes(1, 2),
+            is_running=period.is_running.swapaxes(1, 2),
+            subgoal=period.subgoal[:, 0],
+            goal_xy=self._world.centred(period.obs.goal_xy[:, 0]),
+            reward=periods.paid(period, self.options.costs_time, self.options.reward).sum(1),
             next_obs=next_obs[:, -1],
-            next_goal_xy=jax.vmap(jax.vmap(self._centred))(walked.next_obs.goal_xy[:, -1]),
-            terminated=periods.is_task_over(walked, self.options.reward),
-            truncated=walked.truncated[:, -1],
+            next_goal_xy=self._world.centred(period.next_obs.goal_xy[:, -1]),
+            terminated=periods.is_task_over(period, self.options.reward),
+            truncated=period.truncated[:, -1],
         )
-        return _flat(steps, 3), _flat(subgoals, 2)
+        return steps, subgoals
 
 
-def _policy(learned: learning.Learned) -> Policy:
-    return {
-        "manager": learned.manager.actor_params,
-        "controller": learned.controller.actor_params,
-    }
-
-
-def _flat(rows: Any, num_axes: int) -> Any:
-    """Makes one leading axis of several."""
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[num_axes:]), rows)
+def _move(
+    subgoal: Float[Array, "*B 2"], xy: Float[Array, "*B 2"], next_xy: Float[Array, "*B 2"]
+) -> Float[Array, "*B 2"]:
+    """Returns the displacement that is left after a step: the place to go to stays where it is."""
+    return subgoal + xy - next_xy

@@ -3,11 +3,14 @@
 Kim et al. 2021, Landmark-guided subgoal generation in hierarchical reinforcement learning, Sec. 4.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
+from eihrl_jax.baselines.actor_critic import ActorCriticState
 from eihrl_jax.baselines.higl import novelty, td3
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.ops import landmarks as ops
@@ -27,51 +30,51 @@ class Graph(struct.PyTreeNode):
     paths: Float[Array, "L L"]
 
 
+@dataclasses.dataclass(frozen=True)
 class Planner:
-    """The functions of the planner; holds no state."""
+    """The functions of the planner; holds no state.
 
-    def __init__(self, controller: td3.Td3, options: config_lib.Landmarks):
-        """Takes what measures distances.
+    Attributes:
+      level: the lower level, whose values measure distances.
+      controller: what it has learned.
+      options: sizes and numbers.
+    """
 
-        Args:
-          controller: the lower level.
-          options: sizes and numbers.
-        """
-        self._controller = controller
-        self._options = options
+    level: td3.Td3
+    controller: ActorCriticState
+    options: config_lib.Landmarks
 
     def graph(
-        self, controller: td3.Td3State, pool: Float[Array, "P F"], novel: novelty.NoveltyState
+        self,
+        pool: Float[Array, "P F"],
+        novel: novelty.NoveltyState,
     ) -> Graph:
         """Chooses landmarks and finds the ways between them.
 
         Args:
-          controller: the lower level as it is now.
           pool: what was seen in stored steps.
           novel: the most novel places.
         """
-        spread = ops.farthest_points(pool[:, :2], self._options.num_coverage)
+        num_coverage = self.options.num_coverage
+        spread = ops.farthest_points(pool[:, :2], num_coverage)
         obs = jnp.concatenate([pool[spread], novel.obs])
-        is_valid = jnp.concatenate(
-            [jnp.ones(self._options.num_coverage, bool), jnp.isfinite(novel.score)]
-        )
+        is_valid = jnp.concatenate([jnp.ones(num_coverage, bool), jnp.isfinite(novel.score)])
+
+        # Every landmark is a target of every other one; cuts leave the near ones.
         targets = jnp.broadcast_to(obs[None, :, :2], (obs.shape[0], *obs[:, :2].shape))
-        values = self._values(controller, obs, targets)
+        values = self._values(obs, targets)
         both = is_valid[:, None] & is_valid[None]
         values = jnp.where(both, values, ops.UNREACHABLE)
-        edges = ops.cut_edges(values, self._options.cutoff, jnp.arange(obs.shape[0]))
-        paths = ops.soft_paths(edges, self._options.heat, self._options.rounds)
+        edges = ops.cut_edges(values, self.options.cutoff, jnp.arange(obs.shape[0]))
+        paths = ops.soft_paths(edges, self.options.heat, self.options.rounds)
         return Graph(obs=obs, is_valid=is_valid, paths=paths)
 
-    def ways(
-        self, controller: td3.Td3State, graph: Graph, goal_xy: Float[Array, "B 2"]
-    ) -> Float[Array, "B L"]:
+    def ways(self, graph: Graph, goal_xy: Float[Array, "B 2"]) -> Float[Array, "B L"]:
         """Returns the value of the best way from each landmark to each goal.
 
         Each distinct goal is measured once: a maze's few goals come again and again.
 
         Args:
-          controller: the lower level as it is now.
           graph: the landmarks.
           goal_xy: goals, units.
         """
@@ -80,10 +83,10 @@ class Planner:
 
         def measure(number: Int[Array, ""], ways: Float[Array, "B L"]) -> Float[Array, "B L"]:
             targets = jnp.broadcast_to(goals[number], (num_landmarks, 1, 2))
-            values = self._values(controller, graph.obs, targets)
+            values = self._values(graph.obs, targets)
             values = jnp.where(graph.is_valid[:, None], values, ops.UNREACHABLE)
-            edges = ops.cut_edges(values, self._options.cutoff)
-            joined = ops.soft_join(graph.paths, edges, self._options.heat)
+            edges = ops.cut_edges(values, self.options.cutoff)
+            joined = ops.soft_join(graph.paths, edges, self.options.heat)
             return ways.at[number].set(joined[:, 0])
 
         nothing = jnp.zeros((goal_xy.shape[0], num_landmarks))
@@ -91,7 +94,6 @@ class Planner:
 
     def plan(
         self,
-        controller: td3.Td3State,
         graph: Graph,
         obs: Float[Array, "B F"],
         goal_xy: Float[Array, "B 2"],
@@ -100,39 +102,70 @@ class Planner:
         """Returns where to go from each place on the way to its goal: a landmark, or the goal.
 
         Args:
-          controller: the lower level as it is now.
           graph: the landmarks.
           obs: what is seen at the places.
           goal_xy: each place's goal, units.
           ways: from each landmark to the place's goal, see `ways`.
         """
+        # The first landmark is one of the nearest ones, so that few values have to be computed.
         xy, landmark_xy = obs[:, :2], graph.obs[:, :2]
         apart = jnp.square(landmark_xy[None] - xy[:, None]).sum(-1)
         apart = jnp.where(graph.is_valid[None], apart, jnp.inf)
-        num_first = min(self._options.num_first, landmark_xy.shape[0])
+        num_first = min(self.options.num_first, landmark_xy.shape[0])
         near = jax.lax.top_k(-apart, num_first)[1]
+
         targets = jnp.concatenate([landmark_xy[near], goal_xy[:, None]], axis=1)
-        first = self._values(controller, obs, targets)
-        cut = first + jnp.where(first < self._options.cutoff, ops.UNREACHABLE, 0.0)
+        first = self._values(obs, targets)
+        cut = first + jnp.where(first < self.options.cutoff, ops.UNREACHABLE, 0.0)
+
+        # The best path to the goal begins with the landmark of the best score.
         score = cut[:, :-1] + jnp.take_along_axis(ways, near, axis=1)
         score = jnp.where(graph.is_valid[near], score, -jnp.inf)
         best = jnp.argmax(score, axis=1, keepdims=True)
         chosen = landmark_xy[jnp.take_along_axis(near, best, axis=1)[:, 0]]
-        is_near = cut[:, -1] > self._options.near
+
+        is_near = cut[:, -1] > self.options.near
         return jnp.where(is_near[:, None], goal_xy, chosen)
+
+    def lead(
+        self,
+        novel: novelty.NoveltyState,
+        pools: Float[Array, "G P F"],
+        obs: Float[Array, "U B F"],
+        goal_xy: Float[Array, "U B 2"],
+    ) -> Float[Array, "U B 2"]:
+        """Does for U batches what `plan` does for one, with a graph for every U / G of them.
+
+        Args:
+          novel: the most novel places.
+          pools: what was seen in stored steps, for each graph.
+          obs: what is seen at the places.
+          goal_xy: each place's goal, units.
+        """
+
+        def lead_with(xs: tuple[Array, Array, Array]) -> Float[Array, "V B 2"]:
+            pool, obs, goal_xy = xs
+            graph = self.graph(pool, novel)
+            ways = self.ways(graph, goal_xy.reshape(-1, 2))
+            ways = ways.reshape(*goal_xy.shape[:2], -1)
+            return jax.lax.map(lambda xs: self.plan(graph, *xs), (obs, goal_xy, ways))
+
+        shared = jax.tree.map(
+            lambda leaf: leaf.reshape(pools.shape[0], -1, *leaf.shape[1:]), (obs, goal_xy)
+        )
+        return jax.lax.map(lead_with, (pools, *shared)).reshape(goal_xy.shape)
 
     def _values(
         self,
-        controller: td3.Td3State,
         obs: Float[Array, "B F"],
         target_xy: Float[Array, "B T 2"],
     ) -> Float[Array, "B T"]:
-        """Returns the value of walking from each place to each of its targets, at most 0."""
+        """Returns the value of going from each place to each of its targets, at most 0."""
         left = target_xy - obs[:, None, :2]
         seen = jnp.broadcast_to(obs[:, None], (*left.shape[:2], obs.shape[-1]))
         features = controller_features(seen, left)
-        action = self._controller.act(controller.actor_params, features)
-        values = self._controller.values(controller.critic_params, features, action)
+        action = self.level.act(self.controller.actor.params, features)
+        values = self.level.values(self.controller.critics.params, features, action)
         return jnp.minimum(values.min(0), 0.0)
 
 

@@ -4,7 +4,7 @@ Burda et al. 2019, Exploration by random network distillation; Kim et al. 2021, 
 subgoal generation in hierarchical reinforcement learning, Sec. 4.2.
 """
 
-from typing import Any, cast
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,7 @@ import optax
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from eihrl_jax import base
 from eihrl_jax.agents import optimisation
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.networks import mlp
@@ -25,15 +26,13 @@ class NoveltyState(struct.PyTreeNode):
 
     Attributes:
       target_params: of the network that is predicted, never learned.
-      params: of the one that predicts.
-      opt_state: of Adam.
+      network: the one that predicts.
       obs: float32 [M, F], what was seen at the places; its first two entries are x and y, units.
       score: float32 [M], how novel they were when they were visited; -inf: no place yet.
     """
 
-    target_params: Any
-    params: Any
-    opt_state: optax.OptState
+    target_params: base.Params
+    network: optimisation.TrainState
     obs: Float[Array, "M F"]
     score: Float[Array, " M"]
 
@@ -60,8 +59,7 @@ class Novelty:
         params = self._network.init(own_key, obs)["params"]
         return NoveltyState(
             target_params=self._network.init(target_key, obs)["params"],
-            params=params,
-            opt_state=self._optimizer.init(params),
+            network=optimisation.init(self._optimizer, params),
             obs=jnp.zeros((num, self._num_features)),
             score=jnp.full(num, -jnp.inf, jnp.float32),
         )
@@ -81,7 +79,9 @@ class Novelty:
         radius = self._options.merge_radius**2
         is_seen_again = ((square < radius) & is_valid[None]).any(1)
         kept = jnp.where(is_seen_again, -jnp.inf, state.score)
-        new = jnp.where(is_valid, self._errors(state.params, state.target_params, obs), -jnp.inf)
+
+        errors = self._errors(state.network.params, state.target_params, obs)
+        new = jnp.where(is_valid, errors, -jnp.inf)
         every_obs = jnp.concatenate([state.obs, obs])
         every_xy = every_obs[:, :2]
 
@@ -102,17 +102,19 @@ class Novelty:
     ) -> tuple[NoveltyState, Float[Array, ""]]:
         """Learns to predict what was seen; returns the loss too."""
 
-        def loss_fn(params: Any) -> Float[Array, ""]:
-            return self._errors(params, state.target_params, obs).mean()
+        def loss_fn(params: base.Params) -> tuple[Float[Array, ""], Float[Array, ""]]:
+            loss = self._errors(params, state.target_params, obs).mean()
+            return loss, loss
 
-        loss, grads = jax.value_and_grad(loss_fn)(state.params)
-        params, opt_state = optimisation.step(self._optimizer, grads, state.opt_state, state.params)
-        return state.replace(params=params, opt_state=opt_state), loss
+        network, loss = optimisation.minimise(self._optimizer, loss_fn, state.network)
+        return state.replace(network=network), loss
 
     def _errors(
-        self, params: Any, target_params: Any, obs: Float[Array, "B F"]
+        self, params: base.Params, target_params: base.Params, obs: Float[Array, "B F"]
     ) -> Float[Array, " B"]:
         """Returns half the squared distance of prediction and target, the novelty."""
-        found = cast(Array, self._network.apply({"params": params}, obs))
-        wanted = cast(Array, self._network.apply({"params": target_params}, obs))
-        return 0.5 * jnp.square(found - wanted).sum(-1)
+        predicted, target = (
+            cast(Array, self._network.apply({"params": each}, obs))
+            for each in (params, target_params)
+        )
+        return 0.5 * jnp.square(predicted - target).sum(-1)
