@@ -1,0 +1,5 @@
+from tests.notebooks import files
+
+
+def test_the_notebook_runs():
+    files.run("environments")
