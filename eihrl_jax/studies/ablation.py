@@ -45,6 +45,7 @@ class Ablation(Generic[RunT]):
 
     def finished(self) -> dict[str, list[pathlib.Path]]:
         """Returns the metrics of all finished runs by variant; no variant without any."""
+        # Also of variants that aren't asked for this time: the folder is compared as a whole.
         metrics = {
             variant: [
                 options.run / "metrics.csv"

@@ -22,6 +22,7 @@ from eihrl_jax.training import baselines, high
 METHODS = ("ours", "rand_h", *presets.BASELINES)
 """Our high level; uniform directions in its place, both with the shipped low level; baselines."""
 
+# Of our high level, whose preset has 512 workers and would make few updates.
 _WORKERS = 4
 _LOG_EVERY = 5
 _EVALUATE_EVERY = 10
@@ -200,7 +201,7 @@ def _with_physics(options: high_config.HighConfig) -> hierarchy.Hierarchy:
     # Mazes and view are those of the training, whatever its options are.
     oracle = high.make_env(task, options.seed)
     low_policy = loading.load_low(task.robot, robot)
-    engine = engines.make(robot, "mujoco")
+    engine = engines.make(robot, "mujoco")  # The comparison is made on processors.
     return loading.full_env(engine, oracle.table.mazes, oracle.view, low_policy, reward=task.reward)
 
 

@@ -94,6 +94,7 @@ def main(config: SmallConfig) -> None:
     Raises:
       base.UserError: the folder holds something else.
     """
+    # As a file, so that the runs can also be continued and evaluated one by one.
     config.out.mkdir(parents=True, exist_ok=True)
     maze = config.out / f"{NAME}.txt"
     if maze.exists() and maze.read_text() != MAZE:

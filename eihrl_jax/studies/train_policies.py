@@ -59,6 +59,7 @@ def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
             # The name is what the report looks for.
             run = config.out / cached_runs.name(name, maze, reward, seed)
             own = {"task.reward": reward, "seed": seed, "run": run, "resume": True}
+            # Who is trained in random rooms must name no maze.
             if not preset.task.num_rooms:
                 own["task.maze"] = maze
             runs.append(changes.apply(preset, own))
@@ -68,6 +69,7 @@ def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
 def ship(run: pathlib.Path) -> None:
     """Copies the policy of a finished run, and its metrics, into the package."""
     target = policies.PRETRAINED / run.name
+    # Nothing of an earlier policy may be left beside the new one.
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(run / policies.FOLDER, target / "high")
     shutil.copy(run / "metrics.csv", target / "high_metrics.csv")
