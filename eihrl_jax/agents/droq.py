@@ -67,6 +67,7 @@ class Droq:
     def init(self, key: Key[Array, ""]) -> DroqState:
         """Draws all parameters."""
         actor_key, critic_key, dropout_key = jax.random.split(key, 3)
+        # Networks of batches: dropout draws its masks for all rows at once.
         obs = jnp.zeros((1, self._num_features))
         action = jnp.zeros((1, self._num_actions))
         actor_params = self._actor.init(actor_key, obs)["params"]
@@ -74,6 +75,8 @@ class Droq:
             self._critic.init(one_key, obs, action, dropout_key)["params"]
             for one_key in jax.random.split(critic_key, self.options.num_critics)
         )
+
+        # The logarithm is learned, so that the temperature stays positive.
         log_temperature = jnp.log(jnp.float32(self.options.temperature))
         return DroqState(
             actor_params=actor_params,
@@ -111,6 +114,8 @@ class Droq:
         Returns:
           The new state, and scalars: losses, mean value, entropy, temperature.
         """
+        # Hiraoka et al. 2021, Algorithm 2: G updates of the critics, then one of the actor; a call
+        # is one of the G.
         critic_key, actor_key = jax.random.split(key)
         state, critic_metrics = self.update_critic(state, batch, critic_key)
 
@@ -131,6 +136,7 @@ class Droq:
         self, state: DroqState, batch: base.Transition, key: Key[Array, ""]
     ) -> tuple[DroqState, dict[str, Float[Array, ""]]]:
         """Regresses every critic on one shared target, then moves the target critics."""
+        # Hiraoka et al. 2021, Algorithm 2: one target y for all critics.
         target_key, online_key = jax.random.split(key)
         target = self._target(state, batch, target_key)
 
@@ -156,6 +162,7 @@ class Droq:
         self, state: DroqState, batch: base.Transition, key: Key[Array, ""]
     ) -> tuple[DroqState, dict[str, Float[Array, ""]]]:
         """Moves actor and temperature one step."""
+        # Hiraoka et al. 2021, Algorithm 2: along the mean of the critics, not their minimum.
         action_key, dropout_key = jax.random.split(key)
         temperature = jnp.exp(state.log_temperature)
 
@@ -210,6 +217,7 @@ class Droq:
         """Returns r + discount * (min_i Q_i(s', a') - alpha log pi(a' | s')), fresh dropout."""
         action_key, dropout_key = jax.random.split(key)
         action, log_prob = self._sample(state.actor_params, batch.next_obs, action_key)
+        # The target critics drop units as well.
         values = self.values(state.target_params, batch.next_obs, action, dropout_key)
         soft_value = values.min(0) - jnp.exp(state.log_temperature) * log_prob
         return batch.reward + batch.discount * soft_value

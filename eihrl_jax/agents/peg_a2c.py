@@ -8,7 +8,7 @@ spread over devices changes nothing but rounding.
 """
 
 import dataclasses
-from typing import Any, cast
+from typing import TypeAlias, cast
 
 import flax.linen as nn
 import jax
@@ -21,6 +21,12 @@ from eihrl_jax import base
 from eihrl_jax.agents import optimisation
 from eihrl_jax.config import high
 from eihrl_jax.ops import losses, returns, tree
+
+Obs: TypeAlias = PyTree[Array]
+"""What a policy sees, whatever the environment shows."""
+
+Counts: TypeAlias = dict[str, Float[Array, ""]]
+"""Numbers of decisions and episodes, and sums of what the environment measures."""
 
 AXIS = "workers"
 """Mesh axis over which workers are spread; `update` must run inside a `shard_map` over it."""
@@ -38,8 +44,8 @@ class LearnerState(struct.PyTreeNode):
       num_decisions: decisions of all workers so far.
     """
 
-    params: Any
-    opt_state: Any
+    params: base.Params
+    opt_state: optax.OptState
     env_state: base.EnvState
     keys: Key[Array, " W"]
     num_updates: Int[Array, ""]
@@ -60,7 +66,7 @@ class Decision(struct.PyTreeNode):
       metrics: what the environment measures.
     """
 
-    obs: Any
+    obs: Obs
     action: Int[Array, ""]
     value: Float[Array, ""]
     reward: Float[Array, ""]
@@ -81,7 +87,7 @@ class Batch(struct.PyTreeNode):
       weight: 1 / t_i for the t_i decisions that count, 0 for the others; sums to 1.
     """
 
-    obs: Any
+    obs: Obs
     action: Int[Array, " T"]
     return_: Float[Array, " T"]
     advantage: Float[Array, " T"]
@@ -89,14 +95,14 @@ class Batch(struct.PyTreeNode):
 
 
 def sample(
-    network: nn.Module, params: base.Params, obs: PyTree[Array], key: Key[Array, ""]
+    network: nn.Module, params: base.Params, obs: Obs, key: Key[Array, ""]
 ) -> Int[Array, ""]:
     """Draws the subgoal for one observation."""
     logits, _ = network.apply(params, obs)
     return jax.random.categorical(key, logits).astype(jnp.int32)
 
 
-def mode(network: nn.Module, params: base.Params, obs: PyTree[Array]) -> Int[Array, ""]:
+def mode(network: nn.Module, params: base.Params, obs: Obs) -> Int[Array, ""]:
     """Returns the most likely subgoal for one observation."""
     logits, _ = network.apply(params, obs)
     return jnp.argmax(logits).astype(jnp.int32)
@@ -121,11 +127,13 @@ class PegA2C:
 
     def init(self, key: Key[Array, ""]) -> LearnerState:
         """Makes the first state, all workers of the run in it."""
+        # A worker's stream follows from its global index, whichever device it is on.
         params_key, workers_key = jax.random.split(key)
         streams = jax.vmap(jax.random.fold_in, (None, 0))(
             workers_key, jnp.arange(self.learner.num_workers)
         )
         reset_keys, keys = jax.vmap(jax.random.split, out_axes=1)(streams)
+
         env_state = jax.vmap(self.env.reset)(reset_keys)
         params = self.network.init(params_key, jax.tree.map(lambda x: x[0], env_state.obs))
         return LearnerState(
@@ -147,13 +155,18 @@ class PegA2C:
 
         Source: paper, Algorithm 1, lines 4 to 19.
         """
+        # Paper: Algorithm 1, lines 7 to 14: every worker acts with the same parameters.
         rollout_keys, keys = jax.vmap(jax.random.split, out_axes=1)(state.keys)
         env_state, batch, counts = jax.vmap(self.collect, (None, 0, 0), (0, 1, 0))(
             state.params, state.env_state, rollout_keys
         )
+
+        # Paper: Algorithm 1, lines 15 and 16, and the average over all workers: `gradient` is the
+        # mean over this device's workers, `pmean` that over devices, which have as many each.
         gradient, metrics = self.gradient(state.params, batch, state.num_updates)
         gradient, metrics = jax.lax.pmean((gradient, metrics), AXIS)
         counts = jax.lax.psum(jax.tree.map(jnp.sum, counts), AXIS)
+
         params, opt_state = optimisation.step(
             self._optimiser(), gradient, state.opt_state, state.params
         )
@@ -169,8 +182,8 @@ class PegA2C:
         return state, metrics
 
     def collect(
-        self, params: Any, env_state: base.EnvState, key: Key[Array, ""]
-    ) -> tuple[base.EnvState, Batch, dict[str, Float[Array, ""]]]:
+        self, params: base.Params, env_state: base.EnvState, key: Key[Array, ""]
+    ) -> tuple[base.EnvState, Batch, Counts]:
         """Lets one worker act for one update: one window, or one whole episode.
 
         Returns:
@@ -182,6 +195,7 @@ class PegA2C:
         """
         if self.learner.window is None:
             return self.collect_episode(params, key)
+
         env_state, cut_obs, decisions = self._decide(params, env_state, key)
         _, end_value = self._forward(params, env_state.obs)
         cut_value = jnp.float32(0.0)
@@ -190,8 +204,8 @@ class PegA2C:
         return env_state, self._batch(decisions, end_value, cut_value), _counts(decisions)
 
     def collect_episode(
-        self, params: Any, key: Key[Array, ""]
-    ) -> tuple[base.EnvState, Batch, dict[str, Float[Array, ""]]]:
+        self, params: base.Params, key: Key[Array, ""]
+    ) -> tuple[base.EnvState, Batch, Counts]:
         """Lets one worker act for one episode from its start; returns what `collect` does."""
         reset_key, act_key = jax.random.split(key)
         env_state, _, decisions = self._decide(params, self.env.reset(reset_key), act_key)
@@ -199,8 +213,8 @@ class PegA2C:
         return env_state, self._batch(decisions, nothing, nothing), _counts(decisions)
 
     def gradient(
-        self, params: Any, batch: Batch, num_updates: Int[Array, ""]
-    ) -> tuple[Any, dict[str, Float[Array, ""]]]:
+        self, params: base.Params, batch: Batch, num_updates: Int[Array, ""]
+    ) -> tuple[base.Params, dict[str, Float[Array, ""]]]:
         """Computes the gradient of the mean loss of some workers.
 
         One backward pass serves all workers at one step of their windows; over the steps gradients
@@ -229,6 +243,7 @@ class PegA2C:
             loss = means["policy_loss"] - entropy_coef * means["entropy"]
             return loss + self.learner.value_coef * means["value_loss"], means
 
+        # A worker's weights add up to 1, those of a step don't: steps are added, workers averaged.
         def add_step(total, decisions):
             step = jax.grad(mean_loss, has_aux=True)(params, decisions)
             return jax.tree.map(jnp.add, total, step), None
@@ -239,8 +254,8 @@ class PegA2C:
         return total
 
     def _decide(
-        self, params: Any, env_state: base.EnvState, key: Key[Array, ""]
-    ) -> tuple[base.EnvState, Any, Decision]:
+        self, params: base.Params, env_state: base.EnvState, key: Key[Array, ""]
+    ) -> tuple[base.EnvState, Obs | None, Decision]:
         """Lets one worker make its decisions.
 
         Returns:
@@ -264,6 +279,8 @@ class PegA2C:
                 is_counted=is_running,
                 metrics=following.metrics,
             )
+
+            # Behind the end of a whole episode nothing counts; a window goes on in the next one.
             is_running &= has_window | ~following.is_over
             if looks_beyond:
                 cut_obs = tree.where(following.truncated, following.final_obs, cut_obs)
@@ -277,11 +294,11 @@ class PegA2C:
         )
         return env_state, cut_obs, decisions
 
-    def _forward(self, params: Any, obs: Any) -> tuple[Float[Array, "4"], Float[Array, ""]]:
+    def _forward(self, params: base.Params, obs: Obs) -> tuple[Float[Array, "4"], Float[Array, ""]]:
         """Returns the logits of the subgoals and the value of an observation."""
         return cast(tuple[Array, Array], self.network.apply(params, obs))
 
-    def _loss_terms(self, params: Any, decision: Batch) -> dict[str, Float[Array, ""]]:
+    def _loss_terms(self, params: base.Params, decision: Batch) -> dict[str, Float[Array, ""]]:
         """Computes the terms of the loss for one decision."""
         logits, value = self._forward(params, decision.obs)
         return {
@@ -304,6 +321,7 @@ class PegA2C:
             x.astype(jnp.float32)
             for x in (decisions.is_counted, decisions.terminated, decisions.truncated)
         )
+        # Paper: Algorithm 1, lines 12 to 14, where lambda is 1 and nothing lies beyond the end.
         following_value = jnp.append(decisions.value[1:], end_value)
         return_ = returns.lambda_returns(
             decisions.reward * is_counted,
@@ -330,7 +348,7 @@ class PegA2C:
         )
 
 
-def _counts(decisions: Decision) -> dict[str, Float[Array, ""]]:
+def _counts(decisions: Decision) -> Counts:
     """Counts one worker's decisions and the episodes that ended, and adds up what they measured."""
     is_end = decisions.is_counted & (decisions.terminated | decisions.truncated)
     sums = {f"sum_{name}": jnp.sum(x, where=is_end) for name, x in decisions.metrics.items()}

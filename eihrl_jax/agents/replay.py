@@ -1,43 +1,48 @@
-"""Replay memory: a ring of packed rows on the device."""
+"""Replay: a ring of packed rows on the device."""
 
 import math
-from typing import Any
+from collections.abc import Hashable
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key, PyTree
+
+Layout: TypeAlias = tuple[Hashable, tuple[tuple[tuple[int, ...], np.dtype], ...]]
+"""Structure of a row, and the shape and type of each of its leaves."""
 
 
 class Replay(struct.PyTreeNode):
     """A ring buffer. C: capacity, D: numbers per row.
 
     A stored pytree is one row of float32, so that drawing it is one contiguous copy: gathering leaf
-    by leaf made an update twice as slow as soon as the memory had outgrown the caches.
+    by leaf made an update twice as slow as soon as the replay had outgrown the caches.
 
     Attributes:
       rows: float32 [C, D].
       position: int32, where the next row goes.
       size: int32, number of rows that hold data.
-      layout: structure, shapes and types of what a row holds; no leaf.
+      layout: what a row holds; no leaf.
     """
 
     rows: Float[Array, "C D"]
     position: Int[Array, ""]
     size: Int[Array, ""]
-    layout: Any = struct.field(pytree_node=False)
+    layout: Layout = struct.field(pytree_node=False)
 
 
-def init(example: Any, capacity: int) -> Replay:
-    """Returns an empty memory.
+def init(example: PyTree, capacity: int) -> Replay:
+    """Returns a replay without rows.
 
     Args:
-      example: pytree of abstract arrays (`jax.ShapeDtypeStruct`) of float32, bool, or integers that
-        float32 holds exactly, up to 2^24 in size.
+      example: pytree of arrays, real or abstract, of float32, bool, or integers that float32 holds
+        exactly, up to 2^24 in size.
       capacity: number of rows.
     """
-    width = sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(example))
     leaves, structure = jax.tree.flatten(example)
+    width = sum(math.prod(leaf.shape) for leaf in leaves)
     return Replay(
         rows=jnp.zeros((capacity, width), jnp.float32),
         position=jnp.int32(0),
@@ -46,12 +51,12 @@ def init(example: Any, capacity: int) -> Replay:
     )
 
 
-def row(batch: Any, num_axes: int = 1) -> Any:
+def row(batch: PyTree, num_axes: int = 1) -> PyTree[jax.ShapeDtypeStruct]:
     """Returns the shapes of one row of a batch, real or abstract, as `init` takes them."""
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[num_axes:], leaf.dtype), batch)
 
 
-def add(replay: Replay, batch: Any) -> Replay:
+def add(replay: Replay, batch: PyTree[Array]) -> Replay:
     """Appends a batch of rows, a pytree with leading axis N; the oldest rows make room.
 
     Raises:
@@ -62,6 +67,7 @@ def add(replay: Replay, batch: Any) -> Replay:
     num_rows = leaves[0].shape[0]
     if capacity % num_rows:
         raise ValueError(f"capacity {capacity} is no multiple of the batch's {num_rows} rows")
+
     parts = [leaf.astype(jnp.float32).reshape(num_rows, -1) for leaf in leaves]
     packed = jnp.concatenate(parts, axis=1)
     return replay.replace(
@@ -71,7 +77,7 @@ def add(replay: Replay, batch: Any) -> Replay:
     )
 
 
-def sample(replay: Replay, shape: tuple[int, ...], key: Key[Array, ""]) -> Any:
+def sample(replay: Replay, shape: tuple[int, ...], key: Key[Array, ""]) -> PyTree:
     """Draws rows uniformly with replacement from those that hold data.
 
     Returns:
@@ -80,6 +86,7 @@ def sample(replay: Replay, shape: tuple[int, ...], key: Key[Array, ""]) -> Any:
     index = jax.random.randint(key, shape, 0, replay.size)
     # Without the barrier XLA would gather anew for every element that is computed from a row.
     rows = jax.lax.optimization_barrier(replay.rows[index])
+
     structure, kinds = replay.layout
     leaves, start = [], 0
     for leaf_shape, dtype in kinds:

@@ -1,4 +1,4 @@
-"""The replay memory, with rows that say who they are."""
+"""The replay, with rows that say who they are."""
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ def _rows(first, count):
     }
 
 
-def _memory(capacity):
+def _empty(capacity):
     one = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), _rows(0, 1))
     return replay.init(one, capacity)
 
@@ -29,29 +29,29 @@ def _check_identity(drawn):
 
 
 def test_draws_only_what_was_added_and_keeps_rows_together():
-    memory = replay.add(_memory(12), _rows(100, 4))
-    drawn = replay.sample(memory, (3, 50), jax.random.key(0))
+    stored = replay.add(_empty(12), _rows(100, 4))
+    drawn = replay.sample(stored, (3, 50), jax.random.key(0))
     assert drawn["number"].shape == (3, 50) and drawn["is_even"].dtype == bool
     assert set(np.unique(drawn["number"])) == {100, 101, 102, 103}
     _check_identity(drawn)
 
 
 def test_oldest_rows_make_room():
-    memory = _memory(8)
+    stored = _empty(8)
     for first in (0, 4, 8):
-        memory = replay.add(memory, _rows(first, 4))
-    drawn = replay.sample(memory, (400,), jax.random.key(1))
+        stored = replay.add(stored, _rows(first, 4))
+    drawn = replay.sample(stored, (400,), jax.random.key(1))
     assert set(np.unique(drawn["number"])) == set(range(4, 12))
-    assert int(memory.size) == 8 and int(memory.position) == 4
+    assert int(stored.size) == 8 and int(stored.position) == 4
     _check_identity(drawn)
 
 
 def test_draws_uniformly():
-    memory = replay.add(_memory(8), _rows(0, 8))
-    count = np.bincount(replay.sample(memory, (8000,), jax.random.key(2))["number"])
+    stored = replay.add(_empty(8), _rows(0, 8))
+    count = np.bincount(replay.sample(stored, (8000,), jax.random.key(2))["number"])
     assert np.abs(count - 1000).max() < 5 * np.sqrt(1000)
 
 
 def test_batch_that_could_wrap_is_refused():
     with pytest.raises(ValueError, match="capacity 10 is no multiple of the batch's 4 rows"):
-        replay.add(_memory(10), _rows(0, 4))
+        replay.add(_empty(10), _rows(0, 4))
