@@ -4,6 +4,8 @@ A file that breaks one is named with its line. The layers and their reasons are 
 """
 
 import ast
+import collections
+import graphlib
 import pathlib
 
 import pytest
@@ -68,6 +70,9 @@ NO_EFFECTS = ("jax.jit", "jax.vmap", "jax.tree_util.register_", "np.dtype", "os.
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
 MAX_NESTED_DEFINITIONS = 2
+MAX_FOLDER_SHARE = 0.14
+MIN_LONG_BODY = 20
+"""Lines from which on a body is written in paragraphs."""
 
 FILES = sorted(file for part in (PACKAGE, "experiments") for file in (ROOT / part).rglob("*.py"))
 TREES = {file.relative_to(ROOT).as_posix(): ast.parse(file.read_text()) for file in FILES}
@@ -118,6 +123,30 @@ def test_imports_go_down(name):
         other = part_of(module)
         if part and other:
             assert rank(other) <= rank(part), f"{name}:{line}: {part} imports {module} above it"
+
+
+def test_no_files_import_each_other_in_a_circle():
+    names = {module_of(name): name for name in TREES}
+    graph = {
+        names[module]: {
+            # What is imported is a module, or something that stands in one.
+            names.get(target, names.get(target.rpartition(".")[0], ""))
+            for _, target in own_imports(TREES[names[module]])
+        }
+        - {"", names[module]}
+        for module in names
+    }
+    graphlib.TopologicalSorter(graph).prepare()  # raises where there is a circle
+
+
+def test_folders_alone_at_the_root_and_none_too_large():
+    sizes = collections.Counter()
+    for name in TREES:
+        sizes["/".join(name.split("/")[:-1][:2])] += len((ROOT / name).read_text().splitlines())
+    loose = {name for name in TREES if name.count("/") == 1 and name.startswith(PACKAGE)}
+    assert loose == {f"{PACKAGE}/__init__.py", f"{PACKAGE}/base.py"}
+    folder, lines = sizes.most_common(1)[0]
+    assert lines <= MAX_FOLDER_SHARE * sizes.total(), f"{folder} has {lines} of {sizes.total()}"
 
 
 @every_file
@@ -227,6 +256,19 @@ def test_functions_are_short(name):
             lines = node.end_lineno - node.lineno + 1
             place = f"{name}:{node.lineno}: {node.name}"
             assert lines <= MAX_FUNCTION_LINES, f"{place} has {lines} lines"
+
+
+@every_file
+def test_long_bodies_are_written_in_paragraphs(name):
+    lines = (ROOT / name).read_text().splitlines()
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.FunctionDef):
+            has_docstring = ast.get_docstring(node) is not None
+            statements = node.body[1:] if has_docstring else node.body
+            body = lines[statements[0].lineno - 1 : node.end_lineno] if statements else []
+            breaks = [line for line in body if not line.strip() or line.strip().startswith("#")]
+            place = f"{name}:{node.lineno}: {node.name}"
+            assert len(body) < MIN_LONG_BODY or breaks, f"{place}: {len(body)} lines, no paragraph"
 
 
 def nesting(node: ast.AST) -> int:

@@ -63,10 +63,13 @@ def _body_frame(
         if kind == mujoco.mjtJoint.mjJNT_FREE:
             pos, mat = qpos[address : address + 3], _rotation(qpos[address + 3 : address + 7])
             continue
+
         moved = qpos[address] - _constant(model.qpos0[address])
         if kind == mujoco.mjtJoint.mjJNT_SLIDE:
             pos = pos + _times(mat, axis) * moved
             continue
+
+        # Ball and hinge turn the body around the joint's anchor.
         if kind == mujoco.mjtJoint.mjJNT_BALL:
             turn = _rotation(qpos[address : address + 4])
         else:
