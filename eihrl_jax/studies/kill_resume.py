@@ -66,15 +66,18 @@ def main(options: KillConfig) -> None:
     """Runs, kills, resumes and compares; ends with exit code 1 where anything differs."""
     if options.run.exists():
         raise base.UserError(f"{options.run} exists already: name another --run")
+
     start = time.monotonic()
     _finish(options, options.run / "whole")
     duration = time.monotonic() - start
     print(f"undisturbed run: {duration:.1f} s", flush=True)
+
     moments = random.Random(options.seed)
     differences = []
     for index in range(options.kills):
         folder = options.run / f"killed-{index:02d}"
         moment = moments.uniform(0.0, duration)
+        # A run that ended before its moment is made again, with an earlier one.
         while not _kill(options, folder, moment):
             shutil.rmtree(folder)
             moment = moments.uniform(0.0, moment)
@@ -83,6 +86,7 @@ def main(options: KillConfig) -> None:
         difference = _difference(options, folder)
         differences.append(difference)
         print(f"killed after {moment:5.1f} s ({state}): {difference or 'identical'}", flush=True)
+
     identical = differences.count(None)
     print(f"{identical} of {options.kills} killed runs equal the undisturbed one")
     sys.exit(identical != options.kills)
