@@ -82,7 +82,7 @@ def test_learning_rate_halves_with_the_updates():
         ("update_actor", actor_key, "log_temperature"),
     ):
         (whole, _), (part, _) = (
-            jax.jit(getattr(learner, update))(before, batch, key) for learner in (constant, falling)
+            getattr(learner, update)(before, batch, key) for learner in (constant, falling)
         )
         start, whole, part = (jax.tree.leaves(getattr(x, name)) for x in (before, whole, part))
         for at_start, after_whole, after_part in zip(start, whole, part, strict=True):
@@ -95,9 +95,8 @@ def test_average_of_the_actor_trails_it():
     learner = _learner(actor_period=1, average_rate=0.25)
     state = jax.jit(learner.init)(jax.random.key(0))
     batch = _batch(jax.random.key(1), lambda obs, action: obs[:, 0], 0.9)
-    update = jax.jit(learner.update)
     for i in range(2):
-        new, _ = update(state, batch, jax.random.key(i))
+        new, _ = learner.update(state, batch, jax.random.key(i))
         old, actor, found = (
             jax.tree.leaves(tree)[1]
             for tree in (state.average_params, new.actor_params, new.average_params)
