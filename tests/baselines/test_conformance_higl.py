@@ -1,4 +1,4 @@
-"""HIGL conforms, see `test_conformance`; HRAC and HIRO, of which it does all that they do, slowly."""
+"""HIGL conforms, see `test_conformance`; HRAC and HIRO, parts of HIGL, are among the slow tests."""
 
 import pytest
 
