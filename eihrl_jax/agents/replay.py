@@ -56,7 +56,7 @@ def row(batch: PyTree, num_axes: int = 1) -> PyTree[jax.ShapeDtypeStruct]:
     return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[num_axes:], leaf.dtype), batch)
 
 
-def add(replay: Replay, batch: PyTree[Array]) -> Replay:
+def add(replay: Replay, batch: PyTree[Array | np.ndarray]) -> Replay:
     """Appends a batch of rows, a pytree with leading axis N; the oldest rows make room.
 
     Raises:
