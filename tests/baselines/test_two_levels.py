@@ -1,4 +1,8 @@
-"""The two-level baselines find their way on open floor, where what it costs is known."""
+"""The two-level baselines find their way on open floor, where what it costs is known.
+
+HIGL trains the levels of HRAC and HIRO and holds them by more, so that those are slow tests; HESS
+is in a file of its own, which runs beside.
+"""
 
 import dataclasses
 
@@ -53,7 +57,18 @@ EXPLORING = {
 }
 
 
-@pytest.mark.parametrize("method", ["hiro", "hrac", "higl", "hess"])
+METHODS = (
+    "higl",
+    pytest.param("hrac", marks=pytest.mark.slow),
+    pytest.param("hiro", marks=pytest.mark.slow),
+)
+
+
+def pytest_generate_tests(metafunc):
+    """Puts the methods of a file to its test."""
+    metafunc.parametrize("method", metafunc.module.METHODS)
+
+
 def test_both_levels_together_learn_to_walk_straight_to_any_goal(method):
     arena = make_arena(method)
     init = jax.jit(arena.baseline.init)
@@ -93,8 +108,8 @@ def make_arena(method):
 def train(arena, state):
     """Returns how often and in how many steps a trained baseline arrives, and its state."""
     state, _ = arena.advance(state, ROUNDS[arena.title])
-    found = arena.evaluate(arena.baseline.policy(state), jax.random.key(7), 50)
-    return float(found["sum_success"]) / 50, float(found["sum_steps"]) / 50, state
+    sums = arena.evaluate(arena.baseline.policy(state), jax.random.key(7), 50)
+    return float(sums["sum_success"]) / 50, float(sums["sum_steps"]) / 50, state
 
 
 def start_value(env, baseline, state):
