@@ -9,7 +9,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base, robots
-from eihrl_jax.agents import droq
+from eihrl_jax.agents import droq, optimisation
 from eihrl_jax.agents import replay as replay_lib
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import experience, locomotion, low_obs, rooms, subgoals, wrappers
@@ -115,8 +115,7 @@ class LowTrainer:
         """
         length = self.config.log_every
         state, (learned, stepped) = jax.lax.scan(self._iterate, state, length=length)
-        metrics = {f"learner/{name}": jnp.nanmean(value) for name, value in learned.items()}
-        return state, metrics | subgoals.summarise(stepped)
+        return state, optimisation.means("learner", learned) | subgoals.summarise(stepped)
 
     def sample(
         self, actor_params: base.Params, obs: low_obs.LowObs, key: Key[Array, ""]
@@ -180,15 +179,11 @@ class LowTrainer:
         envs, stored = self._step(state.envs, ctrl)
         replay = replay_lib.add(state.replay, stored)
 
-        # Learn. All batches are drawn outside the loop over updates, into which XLA would copy the
-        # whole replay otherwise.
-        count = self.config.updates_per_iteration
+        # Learn, on batches that are all drawn before the first update: see `optimisation.loop`.
         batch_key, update_key = jax.random.split(learn_key)
-        batches = self._draw(replay, count, batch_key)
-        learner, learned = jax.lax.scan(
-            lambda learner, batch: self._learner.update(learner, *batch),
-            state.learner,
-            (batches, jax.random.split(update_key, count)),
+        batches = self._draw(replay, self.config.updates_per_iteration, batch_key)
+        learner, learned = optimisation.loop(
+            self._learner.update, state.learner, batches, update_key
         )
 
         state = LowState(
