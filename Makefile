@@ -18,7 +18,8 @@ demo: $(READY) ## train the high level and evaluate the hierarchy in four mazes,
 	$(BIN)/python -m experiments.demo
 
 test: $(READY) ## run the default tests on CPU, side by side; ARGS=-n0 one after the other
-	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -n logical --maxprocesses 4 --dist loadfile \
+	  --no-loadscope-reorder $(ARGS)
 
 test-slow: $(READY) ## run the tests that take minutes
 	$(BIN)/python -m pytest -m "slow and not gpu" $(ARGS)

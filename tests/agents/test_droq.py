@@ -40,7 +40,9 @@ def _train(learner, reward, discount, num_updates=400):
         return learner.update(state, _batch(batch_key, reward, discount), update_key)
 
     keys = jax.random.split(jax.random.key(1), num_updates)
-    return jax.jit(lambda state: jax.lax.scan(body, state, keys))(learner.init(jax.random.key(0)))
+    return jax.jit(lambda state: jax.lax.scan(body, state, keys))(
+        jax.jit(learner.init)(jax.random.key(0))
+    )
 
 
 def test_temperature_moves_entropy_to_its_target():
@@ -73,7 +75,7 @@ def test_actor_moves_every_period_and_targets_trail():
 def test_learning_rate_halves_with_the_updates():
     constant = _learner(actor_period=1)
     falling = _learner(actor_period=1, learning_rate_half_life=4)
-    before = constant.init(jax.random.key(0)).replace(num_updates=jnp.int32(8))
+    before = jax.jit(constant.init)(jax.random.key(0)).replace(num_updates=jnp.int32(8))
     batch = _batch(jax.random.key(1), lambda obs, action: obs[:, 0], 0.9)
     critic_key, actor_key = jax.random.split(jax.random.key(2))
     for update, key, name in (
@@ -82,7 +84,7 @@ def test_learning_rate_halves_with_the_updates():
         ("update_actor", actor_key, "log_temperature"),
     ):
         (whole, _), (part, _) = (
-            getattr(learner, update)(before, batch, key) for learner in (constant, falling)
+            jax.jit(getattr(learner, update))(before, batch, key) for learner in (constant, falling)
         )
         start, whole, part = (jax.tree.leaves(getattr(x, name)) for x in (before, whole, part))
         for at_start, after_whole, after_part in zip(start, whole, part, strict=True):
@@ -96,7 +98,7 @@ def test_average_of_the_actor_trails_it():
     state = jax.jit(learner.init)(jax.random.key(0))
     batch = _batch(jax.random.key(1), lambda obs, action: obs[:, 0], 0.9)
     for i in range(2):
-        new, _ = learner.update(state, batch, jax.random.key(i))
+        new, _ = jax.jit(learner.update)(state, batch, jax.random.key(i))
         old, actor, found = (
             jax.tree.leaves(tree)[1]
             for tree in (state.average_params, new.actor_params, new.average_params)
@@ -108,7 +110,7 @@ def test_average_of_the_actor_trails_it():
 
 def test_same_key_same_result_and_one_compilation():
     learner = _learner()
-    state = learner.init(jax.random.key(0))
+    state = jax.jit(learner.init)(jax.random.key(0))
     batch = _batch(jax.random.key(1), lambda obs, action: obs[:, 0], 0.9)
     traces = []
 

@@ -21,7 +21,7 @@ from tests.envs import sled
 
 FLOOR = "#####\n#SSS#\n#S1S#\n#SSS#\n#####\n"
 NUM_DECISIONS = 4
-ROUNDS = {"hiro": 120, "hrac": 180, "higl": 120, "hess": 180}
+ROUNDS = {"hiro": 120, "hrac": 180, "higl": 90, "hess": 180}
 """Episodes of ten robots, 20 control steps each, that a method needs."""
 NUM_SEEDS = 6
 """Most that are tried: one in three gets stuck, which of them is a matter of rounding."""
@@ -69,6 +69,7 @@ def pytest_generate_tests(metafunc):
     metafunc.parametrize("method", metafunc.module.METHODS)
 
 
+@pytest.mark.usefixtures("optimised")
 def test_both_levels_together_learn_to_walk_straight_to_any_goal(method):
     arena = make_arena(method)
     init = jax.jit(arena.baseline.init)
