@@ -3,7 +3,7 @@
 Shapes are checked by beartype (see `addopts` in pyproject.toml) and warnings are errors.
 
 Nearly all of a test's time is compilation. So programs are hardly optimised, which halves it, and
-what one worker has compiled serves the others. Who sets one of these variables decides it:
+one that several tests compile is compiled once. Who sets one of these variables decides it:
 `JAX_DISABLE_MOST_OPTIMIZATIONS=0 XLA_FLAGS= make test` runs what users run.
 
 What is trained here differs by processor, for rounding does: `XLA_FLAGS=--xla_cpu_max_isa=SSE4_2`
@@ -13,12 +13,11 @@ before `make test` shows whether a test hangs on that.
 import os
 import tempfile
 
-# Workers of pytest-xdist, and the commands that tests start, inherit all of them.
+# The commands that tests start inherit both.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
-if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    _programs = tempfile.TemporaryDirectory(prefix="eihrl_jax-tests-")  # removed when Python ends
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = _programs.name
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+)
 
 import jax
 import pytest
@@ -29,13 +28,12 @@ jax.config.update("jax_num_cpu_devices", 8)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
-# With a greatest size, bytes, the folder is locked while a program is read or written.
-jax.config.update("jax_compilation_cache_max_size", 2**32)
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+_PROGRAMS = tempfile.TemporaryDirectory(prefix="eihrl_jax-tests-")  # removed when Python ends
+jax.config.update("jax_compilation_cache_dir", _PROGRAMS.name)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 LONGEST_FILES = (
     "baselines/test_two_levels.py",
-    "baselines/test_two_levels_hess.py",
     "training/test_low.py",
     "baselines/test_conformance.py",
     "baselines/test_conformance_higl.py",

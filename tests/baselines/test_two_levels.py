@@ -1,7 +1,7 @@
 """The two-level baselines find their way on open floor, where what it costs is known.
 
-HIGL trains the levels of HRAC and HIRO and holds them by more, so that those are slow tests; HESS
-is in a file of its own, which runs beside.
+HIGL trains the levels of HRAC and HIRO and holds them by more, so that those are slow tests; so is
+HESS's, whose levels learn each on its own in `test_probes` and `test_hess_parts`.
 """
 
 import dataclasses
@@ -57,18 +57,10 @@ EXPLORING = {
 }
 
 
-METHODS = (
-    "higl",
-    pytest.param("hrac", marks=pytest.mark.slow),
-    pytest.param("hiro", marks=pytest.mark.slow),
-)
+SLOW = [pytest.param(method, marks=pytest.mark.slow) for method in ("hrac", "hiro", "hess")]
 
 
-def pytest_generate_tests(metafunc):
-    """Puts the methods of a file to its test."""
-    metafunc.parametrize("method", metafunc.module.METHODS)
-
-
+@pytest.mark.parametrize("method", ["higl", *SLOW])
 @pytest.mark.usefixtures("optimised")
 def test_both_levels_together_learn_to_walk_straight_to_any_goal(method):
     arena = make_arena(method)
