@@ -142,6 +142,7 @@ class Droq:
 
         def loss_fn(critic_params: base.Params) -> tuple[Float[Array, ""], Float[Array, ""]]:
             values = self.values(critic_params, batch.obs, batch.action, online_key)
+            # Summed over the critics, so that each has the gradient that it would have alone.
             return jnp.square(values - target[None]).mean(-1).sum(), values.mean()
 
         (loss, value), grads = jax.value_and_grad(loss_fn, has_aux=True)(state.critic_params)

@@ -38,6 +38,7 @@ def step(
     """Returns parameters and the optimiser's state after one step of `rate` times its length."""
     with jax.numpy_dtype_promotion("standard"):  # Optax takes integer powers of floats.
         updates, opt_state = optimizer.update(grads, opt_state, params)
+    # The step is scaled, not the gradient: Adam would undo a factor of the latter.
     updates = jax.tree.map(lambda update: rate * update, updates)
     return optax.apply_updates(params, updates), opt_state
 

@@ -135,6 +135,7 @@ class PegA2C:
         reset_keys, keys = jax.vmap(jax.random.split, out_axes=1)(streams)
 
         env_state = jax.vmap(self.env.reset)(reset_keys)
+        # The network takes one observation, not a batch: workers come by `vmap`.
         params = self.network.init(params_key, jax.tree.map(lambda x: x[0], env_state.obs))
         return LearnerState(
             params=params,
@@ -197,6 +198,7 @@ class PegA2C:
             return self.collect_episode(params, key)
 
         env_state, cut_obs, decisions = self._decide(params, env_state, key)
+        # A window may end amid an episode, of which the value stands for the rest.
         _, end_value = self._forward(params, env_state.obs)
         cut_value = jnp.float32(0.0)
         if self.learner.looks_beyond_limit:
@@ -209,6 +211,7 @@ class PegA2C:
         """Lets one worker act for one episode from its start; returns what `collect` does."""
         reset_key, act_key = jax.random.split(key)
         env_state, _, decisions = self._decide(params, self.env.reset(reset_key), act_key)
+        # A whole episode ends by its goals or its time limit: nothing is expected beyond either.
         nothing = jnp.float32(0.0)
         return env_state, self._batch(decisions, nothing, nothing), _counts(decisions)
 
@@ -321,14 +324,17 @@ class PegA2C:
             x.astype(jnp.float32)
             for x in (decisions.is_counted, decisions.terminated, decisions.truncated)
         )
+
         # Paper: Algorithm 1, lines 12 to 14, where lambda is 1 and nothing lies beyond the end.
         following_value = jnp.append(decisions.value[1:], end_value)
         return_ = returns.lambda_returns(
             decisions.reward * is_counted,
             self.learner.gamma * (1.0 - terminated),
             jnp.where(decisions.truncated, cut_value, following_value),
+            # Behind a time limit lies another episode, whose return doesn't count for this one.
             self.learner.lambda_ * (1.0 - truncated),
         )
+
         return Batch(
             obs=decisions.obs,
             action=decisions.action,
@@ -350,6 +356,7 @@ class PegA2C:
 
 def _counts(decisions: Decision) -> Counts:
     """Counts one worker's decisions and the episodes that ended, and adds up what they measured."""
+    # Nothing counts behind the end of a whole episode, so that it ends only once.
     is_end = decisions.is_counted & (decisions.terminated | decisions.truncated)
     sums = {f"sum_{name}": jnp.sum(x, where=is_end) for name, x in decisions.metrics.items()}
     counts = {"decisions": decisions.is_counted, "episodes": is_end}

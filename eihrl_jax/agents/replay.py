@@ -68,6 +68,7 @@ def add(replay: Replay, batch: PyTree[Array | np.ndarray]) -> Replay:
     if capacity % num_rows:
         raise ValueError(f"capacity {capacity} is no multiple of the batch's {num_rows} rows")
 
+    # One type for all leaves of a row; `sample` gives each its own one back.
     parts = [leaf.astype(jnp.float32).reshape(num_rows, -1) for leaf in leaves]
     packed = jnp.concatenate(parts, axis=1)
     return replay.replace(

@@ -66,6 +66,7 @@ class ActorCritic:
 
     def init(self, key: Key[Array, ""]) -> ActorCriticState:
         """Draws all parameters."""
+        # Each critic is drawn anew: two alike would learn alike, their minimum being either.
         actor_key, *critic_keys = jax.random.split(key, 1 + self._num_critics)
         obs, action = map(jnp.zeros, self._sizes)
         actor_params = self._actor.init(actor_key, obs)["params"]
@@ -112,6 +113,7 @@ class ActorCritic:
         critics, metrics = optimisation.minimise(
             self._critic_optimizer, critic_loss, state.critics, rate
         )
+
         # The actor follows the critics as they are now.
         actor, actor_metrics = optimisation.minimise(
             self._actor_optimizer,
@@ -119,6 +121,8 @@ class ActorCritic:
             state.actor,
             rate,
         )
+
+        # A rate of 0 leaves the averages where they are: HESS's controller moves them now and then.
         state = ActorCriticState(
             actor=actor,
             critics=critics,

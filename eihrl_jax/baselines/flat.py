@@ -54,6 +54,8 @@ class FlatDroq:
         key, learner_key, env_key = jax.random.split(key, 3)
         envs = self._world.reset(self.options.num_envs, env_key)
         action = jnp.zeros((self.options.num_envs, self._world.num_actions))
+
+        # The step is only traced: it tells what a row of the replay holds.
         rows = jax.eval_shape(self._step, envs, action)[1]
         return FlatState(
             learner=self._learner.init(learner_key),
@@ -78,6 +80,7 @@ class FlatDroq:
 
     def policy(self, state: FlatState) -> dict[str, base.Params]:
         """Returns what acts."""
+        # As in our low level: what acts without exploration is the actor's average.
         return {"actor": state.learner.average_params}
 
     def start(self) -> tuple[()]:
@@ -104,6 +107,7 @@ class FlatDroq:
         num_envs = self.options.num_envs
         is_warm = state.num_steps >= self.options.warmup_steps
 
+        # Both actions are drawn: that the warm-up is over is only known while the program runs.
         chosen = jax.vmap(self._learner.sample, (None, 0, 0))(
             state.learner.actor_params,
             self.see(state.envs.obs),
@@ -112,6 +116,7 @@ class FlatDroq:
         drawn = jax.random.uniform(random_key, chosen.shape, minval=-1.0, maxval=1.0)
         envs, rows = self._step(state.envs, jnp.where(is_warm, chosen, drawn))
 
+        # As many updates as all robots' steps ask for, all drawn at once: see `optimisation.loop`.
         stored = replay.add(state.replay, rows)
         count = num_envs * self.options.updates_per_step
         batches = replay.sample(stored, (count, self.options.learner.batch_size), draw_key)
@@ -120,6 +125,7 @@ class FlatDroq:
             return optimisation.loop(self._learner.update, learner, batches, update_key)
 
         def rest(learner: droq.DroqState) -> tuple[droq.DroqState, dict[str, Array]]:
+            # Both branches must return the same shapes; NaN doesn't count in the means.
             shapes = jax.eval_shape(learn, learner)[1]
             nothing = jax.tree.map(lambda leaf: jnp.full(leaf.shape, jnp.nan, leaf.dtype), shapes)
             return learner, nothing
@@ -132,6 +138,7 @@ class FlatDroq:
             key=key,
             num_steps=state.num_steps + num_envs,
         )
+        # After an auto-reset the flags and metrics are still those of the episode that ended.
         return state, (learned, periods.sum_ends(envs.is_over, envs.metrics))
 
     def _step(
@@ -143,7 +150,9 @@ class FlatDroq:
             obs=self.see(envs.obs),
             action=action,
             reward=stepped.reward,
+            # A time limit is no end: what would have come after it has a value.
             discount=self.options.learner.gamma * (1.0 - stepped.terminated.astype(jnp.float32)),
+            # Where the step led to: `obs` may be the beginning of the next episode.
             next_obs=self.see(stepped.final_obs),
         )
         return stepped, rows

@@ -63,5 +63,6 @@ def make(world: World, options: config_lib.BaselineConfig) -> Baseline:
         return flat.FlatDroq(world, options)
     if isinstance(options, hess_config.HessConfig):
         return hess.Hess(world, options)
+    # HRAC and HIRO are HIGL with other options, see `config.higl.GUIDANCE`.
     assert isinstance(options, higl_config.HiglConfig)
     return higl.Higl(world, options)

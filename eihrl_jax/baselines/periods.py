@@ -69,6 +69,7 @@ class Carry(struct.PyTreeNode):
     @classmethod
     def start(cls) -> "Carry":
         """Returns the carry at the beginning of an episode."""
+        # A subgoal is due at the first step, so that these zeros are never used.
         return cls(subgoal=jnp.zeros(2), xy=jnp.zeros(2), steps_left=jnp.int32(0))
 
     def advance(
@@ -130,17 +131,20 @@ def run(
         envs, subgoal = carry
         action = jax.vmap(act)(envs.obs, subgoal, jax.random.split(step_key, num_envs))
         stepped = jax.vmap(env.step)(envs, action / reach)
+
         period = Period(
             obs=envs.obs,
             subgoal=subgoal,
             action=action,
             reward=stepped.reward,
+            # Told by the flags before the step: the one that ends an episode still counts.
             is_running=~envs.is_over,
             terminated=stepped.terminated,
             truncated=stepped.truncated,
             next_obs=stepped.final_obs,
             metrics=stepped.metrics,
         )
+
         subgoal = jax.vmap(move)(subgoal, envs.obs.xy, stepped.final_obs.xy)
         return (stepped, subgoal), period
 
@@ -160,6 +164,7 @@ def has_arrived(period: Period, reward: base.Reward) -> Bool[Array, "*P k N"]:
     """
     if reward == "dense":
         return jnp.zeros(period.is_running.shape, bool)
+    # A goal only changes where it is reached: to the next one, or to the robot's own place.
     is_new_goal = (period.next_obs.goal_xy != period.obs.goal_xy).any(-1) & period.is_running
     return jnp.cumsum(is_new_goal, axis=-2) > 0
 
@@ -169,6 +174,7 @@ def is_task_over(period: Period, reward: base.Reward) -> Bool[Array, "*P N"]:
 
     A simulation that breaks down is no end without a value: where time costs, nothing costs less.
     """
+    # A robot at rest keeps flags and metrics, so that the last step tells of the whole period.
     is_broken = period.metrics["broke_down"][..., -1, :] > 0.0
     is_over = period.terminated[..., -1, :] & ~is_broken
     return is_over | has_arrived(period, reward)[..., -1, :]
@@ -183,6 +189,7 @@ def paid(period: Period, costs_time: bool, reward: base.Reward) -> Float[Array, 
       reward: of the task.
     """
     arrived = has_arrived(period, reward)
+    # The step that arrives is still paid; those after it are on the way to another goal.
     was_there = jnp.concatenate([jnp.zeros_like(arrived[..., :1, :]), arrived[..., :-1, :]], -2)
     rewards = period.reward - (1.0 if costs_time else 0.0)
     return jnp.where(period.is_running & ~was_there, rewards, 0.0)
@@ -195,6 +202,7 @@ def is_end(period: Period) -> Bool[Array, "*P k N"]:
 
 def is_due(num_steps: Int[Array, ""], steps_per_round: int, every: int) -> Bool[Array, ""]:
     """Returns whether the last round, if any, went past a multiple of `every` control steps."""
+    # Before the first round the difference is negative: 0 would count as gone past.
     before = jnp.maximum(num_steps - steps_per_round, 0)
     return num_steps // every > before // every
 
@@ -209,4 +217,5 @@ def sum_ends(
 
 def renew(env: base.Environment, envs: base.EnvState, is_over: Bool[Array, " N"]) -> base.EnvState:
     """Begins a new episode, drawn anew, where `is_over`."""
+    # All are drawn anew, and most draws dropped: shapes can't depend on who is done.
     return jax.vmap(tree.where)(is_over, jax.vmap(env.reset)(envs.key), envs)

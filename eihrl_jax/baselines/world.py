@@ -33,9 +33,11 @@ class World:
 
     def num_features(self, see: Callable[[base.GoalObs], Float[Array, " F"]]) -> int:
         """Returns the size F of what a function makes of an observation."""
+        # Only shapes are traced: no episode begins for them.
         return jax.eval_shape(lambda key: see(self.env.reset(key).obs), jax.random.key(0)).shape[0]
 
     def centred(self, xy: Float[Array, "*B 2"]) -> Float[Array, "*B 2"]:
         """Returns positions relative to the arena's centre, units."""
+        # The origin is the upper left corner and y points up: the centre lies below it.
         centre = jnp.array([self.side_xy[0] / 2.0, -self.side_xy[1] / 2.0])
         return xy - jnp.broadcast_to(centre, xy.shape)

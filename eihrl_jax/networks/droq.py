@@ -56,6 +56,7 @@ class Critic(nn.Module):
         for size, layer_key in zip(
             self.hidden_sizes, jax.random.split(key, len(self.hidden_sizes)), strict=True
         ):
+            # Hiraoka et al. 2021, Sec. 3: dropout comes before the layer normalisation.
             hidden = nn.Dense(size, kernel_init=_DENSE_INIT)(hidden)
             hidden = dropout(hidden, self.dropout_rate, layer_key)
             hidden = nn.relu(nn.LayerNorm()(hidden))
@@ -72,6 +73,7 @@ def dropout(units: Float[Array, "B H"], rate: float, key: Key[Array, ""]) -> Flo
         return units
     words = _hashed_words((units.shape[0], units.shape[1] // 2), key)
     halves = jax.lax.bitcast_convert_type(words, jnp.uint16).reshape(units.shape)
+    # Of 2^16 numbers, all equally likely, a share of `rate` lies below this one.
     is_kept = halves >= jnp.uint16(round(rate * 2**16))
     return jnp.where(is_kept, units / (1.0 - rate), 0.0)
 
@@ -84,6 +86,9 @@ def _hashed_words(shape: tuple[int, int], key: Key[Array, ""]) -> UInt32[Array, 
     """
     seed, stir = jax.random.key_data(key)
     counter = jax.lax.iota(jnp.uint32, shape[0] * shape[1]).reshape(shape)
+
+    # The first constant, 2^32 over the golden ratio, is the Weyl sequence's step; the other two are
+    # murmur3's.
     word = counter * jnp.uint32(0x9E3779B9) + seed
     word = (word ^ (word >> 16)) * jnp.uint32(0x85EBCA6B) + stir
     word = (word ^ (word >> 13)) * jnp.uint32(0xC2B2AE35)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+# A uniform law of variance 1 / (3 inputs) reaches as far as 1 / sqrt(inputs).
 _KERNEL_INIT = nn.initializers.variance_scaling(1.0 / 3.0, "fan_in", "uniform")
 
 
@@ -73,6 +74,7 @@ class Critic(nn.Module):
         output = Mlp(self.hidden, 1)(jnp.concatenate([obs, action], axis=-1))[..., 0]
         if self.gamma is None:
             return output
+        # However large the output gets, the value never falls below -1 / (1 - gamma).
         return -(1.0 - self.gamma**output) / (1.0 - self.gamma)
 
 

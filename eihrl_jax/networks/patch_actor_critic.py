@@ -32,12 +32,15 @@ class PatchActorCritic(nn.Module):
         Source: paper, Appendix C.1 and Figure 8; sizes are ours, the figure does not give any.
         """
         num_tiles, channels = patch.shape[0] // self.tile, patch.shape[2]
+        # One row per tile, so that one matrix product serves all tiles.
         tiles = patch.reshape(num_tiles, self.tile, num_tiles, self.tile, channels)
         tiles = tiles.swapaxes(1, 2).reshape(num_tiles**2, -1).astype(jnp.float32)
+
         trunk_init = nn.initializers.orthogonal(2**0.5)
         features = nn.relu(nn.Dense(self.tile_features, kernel_init=trunk_init)(tiles)).ravel()
         for width in self.hidden:
             features = nn.relu(nn.Dense(width, kernel_init=trunk_init)(features))
+
         # Small logits make the first policy uniform, whatever the patch shows.
         logits_init, value_init = nn.initializers.orthogonal(0.01), nn.initializers.orthogonal(1.0)
         logits = nn.Dense(base.NUM_DIRECTIONS, kernel_init=logits_init, name="logits")(features)

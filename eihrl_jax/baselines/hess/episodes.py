@@ -77,6 +77,8 @@ def add(episodes: Episodes, batch: Episodes) -> Episodes:
     position = (episodes.position + num) % capacity
 
     def put(old: Array, new: Array) -> Array:
+        # Batches must divide the capacity: a slice beyond the end would be moved back, over the
+        # newest episodes.
         return jax.lax.dynamic_update_slice_in_dim(old, new, episodes.position, axis=0)
 
     # The position has no axis of episodes.
@@ -86,10 +88,14 @@ def add(episodes: Episodes, batch: Episodes) -> Episodes:
 
 def sample(episodes: Episodes, shape: tuple[int, ...], key: Key[Array, ""]) -> Steps:
     """Draws control steps uniformly from what is stored."""
+    # Steps are numbered through all episodes, which differ in length. A round that begins with
+    # nothing stored draws as well, and needs a range that isn't empty.
     total = jnp.cumsum(episodes.length)
     rank = jax.random.randint(key, shape, 0, jnp.maximum(total[-1], 1))
+    # From the right, as the sums of empty places repeat that of the place before.
     episode = jnp.searchsorted(total, rank, side="right").astype(jnp.int32)
     step = rank - (total[episode] - episodes.length[episode])
+
     return Steps(
         obs=episodes.obs[episode, step],
         embedding=episodes.embedding[episode, step],
@@ -103,5 +109,6 @@ def sample(episodes: Episodes, shape: tuple[int, ...], key: Key[Array, ""]) -> S
 def period_ends(episodes: Episodes) -> tuple[Float[Array, "E J F"], Bool[Array, "E J"]]:
     """Returns what was seen at the ends of all periods, and whether there were such."""
     first = jnp.arange(episodes.subgoal.shape[1], dtype=jnp.int32) * episodes.period
+    # Where an episode ends within its period the robot rests, and its last place is stored.
     obs = episodes.obs[:, episodes.period :: episodes.period]
     return obs, first[None] < episodes.length[:, None]

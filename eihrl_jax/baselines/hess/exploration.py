@@ -31,6 +31,7 @@ class ExplorationState(struct.PyTreeNode):
 
 def init() -> ExplorationState:
     """Returns the state before anything was visited."""
+    # Where nothing has been counted novelty is (0 + 1) / (0 + 1), see `look_ahead`.
     zeros = jnp.zeros((NUM_SQUARES, NUM_SQUARES))
     return ExplorationState(visits=zeros, novelty=jnp.ones_like(zeros), misses=zeros)
 
@@ -68,8 +69,11 @@ def look_ahead(
         total = count + options.gamma * ahead
         return total, total
 
+    # Li et al. 2021, Sec. 3.2: backwards in time, as N_j needs N_{j+1}.
     _, totals = jax.lax.scan(back, jnp.zeros(embedding.shape[0]), counts.T, reverse=True)
 
+    # The mean over all visits, as in the paper; in the released code only the last stored visit is
+    # added, and divided by the number of all.
     weight, zeros = is_valid.astype(jnp.float32), jnp.zeros_like(state.visits)
     sums = add(zeros, embedding, weight * totals.T, options.square)
     numbers = add(zeros, embedding, weight, options.square)
@@ -97,9 +101,11 @@ def select(
     Returns:
       The candidate of the least novelty count plus weighted misses; any, if none is within reach.
     """
+    # A candidate that lies where the robot is would ask nothing of it.
     distance = jnp.sqrt(jnp.square(candidates - here[None]).sum(-1))
     is_near = (distance > 0.0) & (distance < options.reach)
 
+    # Li et al. 2021, Sec. 3.3: squares whose subgoals were missed have little potential.
     index = square(candidates, options.square)
     weight = jnp.where(has_potential, options.miss_weight, 0.0)
     cost = state.novelty[index] + weight * state.misses[index]
@@ -113,6 +119,7 @@ def square(
     embedding: Float[Array, "*B 2"], side: float
 ) -> tuple[Int[Array, "*B"], Int[Array, "*B"]]:
     """Returns the numbers of the squares that embeddings lie in."""
+    # Squares are counted from the middle; unclipped, negative numbers would count from the end.
     index = jnp.floor(embedding / side).astype(jnp.int32) + NUM_SQUARES // 2
     index = jnp.clip(index, 0, NUM_SQUARES - 1)
     return index[..., 0], index[..., 1]

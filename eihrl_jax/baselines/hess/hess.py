@@ -56,9 +56,11 @@ class Hess:
     def init(self, key: Key[Array, ""]) -> learning.HessState:
         """Returns the state of a run that is about to start, without episodes and subgoals."""
         key, learned_key, env_key = jax.random.split(key, 3)
+
         # A round's subgoals must not wrap around the end of their replay.
         per_round = self.options.num_envs * self._num_periods
         high_capacity = -(-self.options.high_capacity // per_round) * per_round
+
         return learning.HessState(
             learned=self._learning.init(learned_key),
             squares=exploration.init(),
@@ -117,6 +119,7 @@ class Hess:
         self, policy: dict[str, base.Params], carry: periods.Carry, obs: base.GoalObs
     ) -> tuple[Float[Array, " nu"], periods.Carry]:
         """Returns controls in [-1, 1] without exploration, and the carry of the next step."""
+        # The manager chooses at every step; `advance` takes its choice where a subgoal is due.
         action = self._learning.manager.mode(policy["manager"], self._manager_features(obs))
         seen = self.see(obs)
         here = self._learning.space.embed(policy["representation"], seen)
@@ -134,6 +137,7 @@ class Hess:
     def _exploring_share(self, state: learning.HessState) -> Float[Array, ""]:
         """Returns the share of subgoals that exploration chooses."""
         options = self.options.exploration
+        # As long as no episode succeeds 73 % of the subgoals explore, fewer with every success.
         share = jax.nn.sigmoid(1.0 - 2.0 * options.success_weight * state.success)
         return jnp.where(state.num_steps >= options.first_step, share, 0.0)
 
@@ -141,8 +145,11 @@ class Hess:
         """Computes the novelty of squares anew where that is due."""
         options = self.options.exploration
         is_due = periods.is_due(state.num_steps, self.steps_per_round, options.every)
+
         # Before anything has been counted, squares that hold much would be the least novel ones.
         is_due &= state.squares.visits.any()
+
+        # Embedded anew: what is stored tells where the ends lay in the space of an earlier time.
         obs, is_there = episodes_lib.period_ends(state.episodes)
         ends = self._learning.space.embed(state.learned.space.network.params, obs)
         return jax.lax.cond(
@@ -173,6 +180,7 @@ class Hess:
             choose = functools.partial(self._choose, state)
             return periods.run(self._world.env, envs, self.options.period, choose, act, _stay, key)
 
+        # Episodes are stored whole, so that all robots begin a new one with the round.
         everywhere = jnp.ones(self.options.num_envs, bool)
         envs = periods.renew(self._world.env, state.envs, everywhere)
         return jax.lax.scan(body, envs, jax.random.split(key, self._num_periods))
@@ -203,6 +211,7 @@ class Hess:
             state.squares, here, candidates, has_potential, options, select_key
         )
         way = chosen - here
+        # Where none is within reach, what was chosen may lie where the robot is.
         length = jnp.sqrt(jnp.square(way).sum() + 1e-12)
         beyond = jnp.where(has_potential, options.extension, 0.0) * way / length
 
@@ -211,6 +220,7 @@ class Hess:
         return ExplorationChoice(
             target=here + action,
             action=action,
+            # A miss counts for the square of what was chosen, not for that of the place beyond.
             embedding=jnp.where(is_exploring, chosen, here + own),
             is_exploring=is_exploring,
         )
@@ -222,6 +232,8 @@ class Hess:
         batch = self._episode_batch(state, period)
         squares, side = state.squares, self.options.exploration.square
 
+        # Where the last step led to was visited too. Nothing is counted in the squares of a space
+        # that hasn't been trained: training moves everything to other ones.
         steps = jnp.arange(batch.embedding.shape[1], dtype=jnp.int32)
         was_there = steps[None] <= batch.length[:, None]
         was_there &= state.learned.space.num_blocks > 0
@@ -238,6 +250,7 @@ class Hess:
         distance = jnp.where(is_selected, distance, 0.0)
         misses = exploration.add(squares.misses, choice.embedding, distance, side)
 
+        # Means over recent rounds, where the released code has windows of 50 episodes.
         is_end = periods.is_end(period)
         num_solved = (is_end & (period.metrics["success"] == 1.0)).sum(dtype=jnp.float32)
         success = num_solved / jnp.maximum(is_end.sum(dtype=jnp.float32), 1.0)
@@ -251,8 +264,10 @@ class Hess:
 
     def _recent_miss(self, state: learning.HessState, miss: Float[Array, ""]) -> Float[Array, ""]:
         """Returns `HessState.miss` after a round, whose episodes' mean is `miss`."""
+        # A mean that began at infinity would stay there.
         is_first = ~jnp.isfinite(state.miss)
         recent = jnp.where(is_first, miss, (1.0 - _RECENT) * state.miss + _RECENT * miss)
+        # The round explored if that was due when it began.
         before = state.num_steps - self.steps_per_round
         has_explored = before >= self.options.exploration.first_step
         return jnp.where(has_explored, recent, state.miss)
@@ -266,13 +281,17 @@ class Hess:
             lambda leaf: tree.merge_axes(leaf, 2).swapaxes(0, 1),
             (self.see(period.obs), period.action, period.is_running),
         )
+
         last = self.see(period.next_obs)[-1, -1]
         seen = jnp.concatenate([seen, last[:, None]], axis=1)
+
+        # Embedded by the space that was acted in, in which the subgoals are places as well.
         return episodes_lib.Episodes(
             obs=seen,
             embedding=self._learning.space.embed(state.learned.space.network.params, seen),
             action=action,
             subgoal=period.subgoal.target[:, 0].swapaxes(0, 1),
+            # In the released code steps inherit the losses of those whose place they take.
             loss=jnp.full(is_running.shape, episodes_lib.UNKNOWN, jnp.float32),
             length=is_running.sum(1, dtype=jnp.int32),
             position=jnp.int32(0),
@@ -282,6 +301,9 @@ class Hess:
         """Returns what the manager learns from a round, with one leading axis."""
         options = self.options
         ends = periods.is_task_over(period, options.reward)
+
+        # A robot that has ended stays where it is, so that the last step tells where a period led.
+        # A round fills as many rows whoever rests: rows of rest are told by `is_running`.
         rows = learning.SubgoalRow(
             transition=base.Transition(
                 obs=self._manager_features(period.obs)[:, 0],
@@ -292,6 +314,7 @@ class Hess:
             ),
             is_running=period.is_running[:, 0],
         )
+
         return tree.merge_axes(rows, 2)
 
 

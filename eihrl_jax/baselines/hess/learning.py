@@ -140,14 +140,17 @@ class Learning:
         """
         options = self._options.representation
         is_due = periods.is_due(state.num_steps, self._steps_per_round, options.every)
+        # In the released code anchors weigh less at first; by default they don't here.
         is_late = state.num_steps > options.late_step
         stability = jnp.where(is_late, options.late_stability, options.stability)
+
         space, losses, loss = jax.lax.cond(
             is_due & ~state.learned.space.is_frozen,
             lambda space: self.space.train(space, state.episodes, stability, key),
             lambda space: (space, state.episodes.loss, jnp.float32(jnp.nan)),
             state.learned.space,
         )
+
         is_good = (space.num_blocks > 0) & (state.miss < options.stop_error)
         space = space.replace(is_frozen=space.is_frozen | is_good)
         learned, episodes = state.learned.replace(space=space), state.episodes.replace(loss=losses)
@@ -162,7 +165,9 @@ class Learning:
         """
         options = self._options.controller
         distance = distance_between(steps.next_embedding, steps.subgoal)
+        # The critic's output is the time to the subgoal, which is over where the robot arrives.
         has_arrived = distance <= options.arrival
+
         transition = base.Transition(
             obs=controller_features(steps.obs, steps.embedding, steps.subgoal),
             action=steps.action,
@@ -170,6 +175,7 @@ class Learning:
             discount=options.gamma * (1.0 - has_arrived.astype(jnp.float32)),
             next_obs=controller_features(steps.next_obs, steps.next_embedding, steps.subgoal),
         )
+
         was_there = distance_between(steps.embedding, steps.subgoal) <= options.arrival
         return transition, 1.0 - was_there.astype(jnp.float32)
 
@@ -187,6 +193,7 @@ class Learning:
         ) -> tuple[ActorCriticState, Metrics]:
             return self.controller.update(controller, *self.control_transition(steps), rate)
 
+        # DDPG's update draws nothing, so that this loop needs no keys.
         return jax.lax.scan(body, state.learned.controller, steps)
 
 

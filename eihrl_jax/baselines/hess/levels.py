@@ -38,6 +38,7 @@ class Sac(ActorCritic):
           value_floor: targets are clipped to between this and 0; None: they aren't.
         """
         adam = optax.adam(options.learning_rate)
+        # The critics are drawn as PyTorch draws them; the released code draws Xavier's.
         actor, critic = droq.Actor(num_actions, options.hidden), mlp.Critic(options.hidden)
         super().__init__((num_features, num_actions), actor, critic, 2, adam, adam)
         self.options = options
@@ -72,6 +73,7 @@ class Sac(ActorCritic):
 
         def actor_loss(params: base.Params, critic_params: base.Params) -> Loss:
             action, log_prob = self._sample(params, batch.obs, own_key)
+            # Unlike TD3's, SAC's actor follows the lesser of its critics, not the first one.
             values = self.values(critic_params, batch.obs, action).min(0)
             return (weight * (temperature * log_prob - values)).mean(), {"value": values.mean()}
 
@@ -81,6 +83,7 @@ class Sac(ActorCritic):
         self, state: ActorCriticState, batch: base.Transition, key: Key[Array, ""]
     ) -> Float[Array, " B"]:
         """Returns r + discount * (min_i Q_i(s', a') - alpha log pi(a' | s')), clipped if asked."""
+        # The actor itself draws the next action: SAC's targets don't need its average.
         action, log_prob = self._sample(state.actor.params, batch.next_obs, key)
         values = self.values(state.target_critic_params, batch.next_obs, action).min(0)
         soft_value = values - self.options.temperature * log_prob
@@ -111,6 +114,8 @@ class Ddpg(ActorCritic):
         clip = optax.clip_by_global_norm(options.max_grad_norm)
         adam = optax.adam(options.learning_rate)
         decay = optax.add_decayed_weights(options.critic_decay)
+
+        # Decay joins the gradient after clipping and before Adam, which makes it L2 regularisation.
         super().__init__(
             (num_features, num_actions),
             mlp.Actor(options.hidden, num_actions),
@@ -162,6 +167,7 @@ class Ddpg(ActorCritic):
             values = self.values(critic_params, batch.obs, self.act(params, batch.obs))[0]
             return -(weight * values).mean(), {}
 
+        # Between their steps the averages move by a rate of 0.
         is_due = (state.num_updates + 1) % self.options.target_period == 0
         target_rate = jnp.where(is_due, self.options.target_rate, 0.0)
         return self.improve(state, critic_loss, actor_loss, target_rate, rate)

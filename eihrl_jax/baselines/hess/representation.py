@@ -91,8 +91,10 @@ class Representation:
         # Before the first block there is nothing that has to stay where it is.
         weight = jnp.where(state.num_blocks > 0, stability, 0.0)
 
+        # Ranked once per block: losses that are found meanwhile count in the next one.
         tie_key, key = jax.random.split(key)
         order, num_usable = self._rank(episodes, tie_key)
+        # The paper anchors the first ranks, the released code all but those.
         share = self.options.anchored_share * num_usable
         best = (jnp.float32(0.0), share) if self.options.anchors == "best" else (share, num_usable)
 
@@ -144,6 +146,9 @@ class Representation:
             self.embed(params, episodes.obs[episode, step + ahead])
             for ahead in (0, 1, episodes.period)
         )
+
+        # Pushed apart no farther than a margin of 1, which is the loss of states that all coincide:
+        # see `episodes.UNKNOWN`.
         near = jnp.square(here - following).mean(-1)
         far = jnp.square(here - later).mean(-1)
         return near + jnp.maximum(1.0 - far, 0.0)
@@ -152,6 +157,7 @@ class Representation:
         self, episodes: Episodes, key: Key[Array, ""]
     ) -> tuple[Int[Array, " L"], Float[Array, ""]]:
         """Returns all steps in the order of their losses, and how many of them can be used."""
+        # A step needs the state a period after it, in the same episode.
         step = jnp.arange(episodes.loss.shape[1], dtype=jnp.int32)
         is_usable = step[None] + episodes.period <= episodes.length[:, None]
         # What is unusable comes last; equal losses in any order.

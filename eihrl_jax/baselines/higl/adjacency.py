@@ -89,6 +89,7 @@ class AdjacencyNetwork:
         way = jnp.cumsum(ends, axis=0) - ends
 
         table = state.table
+        # From 0 steps on: a place is adjacent to itself, by which `fit` knows what was visited.
         for apart in range(min(self.options.steps, path_xy.shape[0] - 1) + 1):
             end = path_xy.shape[0] - apart
             both = is_valid[apart:] & is_valid[:end] & (way[apart:] == way[:end])
@@ -118,6 +119,7 @@ class AdjacencyNetwork:
             i: Int[Array, ""], carry: tuple[optimisation.TrainState, Float[Array, ""]]
         ) -> tuple[optimisation.TrainState, Float[Array, ""]]:
             draw = jax.random.fold_in(key, i)
+            # Drawn with replacement, where the released code makes whole passes over all pairs.
             pair = squares[jax.random.randint(draw, (2, self.options.batch_size), 0, num)]
             is_near = state.table[pair[0], pair[1]]
             loss_fn = functools.partial(self._loss, pair_xy=self._centre(pair), is_near=is_near)
@@ -141,6 +143,7 @@ class AdjacencyNetwork:
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Returns the contrastive loss of pairs of places, to be minimised and to be told."""
         distance = self._distance(params, pair_xy)
+        # Zhang et al. 2020, Sec. 4: a pair on the right side of its margin is left alone.
         near = jnp.maximum(distance - self.options.near, 0.0)
         far = jnp.maximum(self.options.far - distance, 0.0)
         loss = jnp.where(is_near, near, far).mean()
@@ -154,6 +157,7 @@ class AdjacencyNetwork:
     def _square(self, xy: Float[Array, "*T 2"]) -> Int[Array, "*T"]:
         """Returns the numbers of the unit squares that positions are in."""
         num_rows, num_columns = self._shape
+        # Rows are counted from the north, to which y points.
         i = jnp.floor(0.5 * num_rows - xy[..., 1]).astype(jnp.int32)
         j = jnp.floor(0.5 * num_columns + xy[..., 0]).astype(jnp.int32)
         return jnp.clip(i, 0, num_rows - 1) * num_columns + jnp.clip(j, 0, num_columns - 1)

@@ -33,7 +33,10 @@ class Higl:
         key, learned_key, env_key = jax.random.split(key, 3)
         envs = self._world.reset(self.options.num_envs, env_key)
         learned = self._learning.init(learned_key)
+
+        # The round is only traced: it tells what the rows of both replays hold.
         steps, subgoals = jax.eval_shape(lambda: self._rows(self._run_round(learned, envs, key)[1]))
+
         return learning.HiglState(
             learned=learned,
             low_replay=replay.init(replay.row(steps, 3), self.options.capacity),
@@ -50,6 +53,7 @@ class Higl:
         key, act_key, learn_key, fit_key = jax.random.split(state.key, 4)
         state, period = self._collect(state.replace(key=key), act_key)
         learned, metrics = self._learning.learn(state, learn_key)
+        # HIRO holds its subgoals to nothing, so that there is nothing to fit.
         if self.options.guidance != "none":
             every = self.options.adjacency.period
             is_due = periods.is_due(state.num_steps, self.steps_per_round, every)
@@ -73,6 +77,7 @@ class Higl:
         self, policy: dict[str, base.Params], carry: periods.Carry, obs: base.GoalObs
     ) -> tuple[Float[Array, " nu"], periods.Carry]:
         """Returns controls in [-1, 1] without exploration, and the carry of the next step."""
+        # The manager chooses at every step; `advance` takes its choice where a subgoal is due.
         subgoal = self._learning.manager.act(policy["manager"], self._manager_features(obs))
         carry = carry.advance(subgoal, obs.xy, self.options.period, _move)
         features = landmarks.controller_features(self.see(obs), carry.subgoal)
@@ -125,6 +130,7 @@ class Higl:
             envs: base.EnvState, key: Key[Array, ""]
         ) -> tuple[base.EnvState, periods.Period[Array]]:
             env, k, reach = self._world.env, self.options.period, self.options.controller.reach
+            # Who ended within the last period has rested until its end.
             envs = periods.renew(env, envs, envs.is_over)
             return periods.run(env, envs, k, choose, act, _move, key, reach=reach)
 
@@ -136,6 +142,8 @@ class Higl:
         """Returns what is stored of a round, with leading axes [R, k, N] and [R, N]."""
         obs, next_obs = self.see(period.obs), self.see(period.next_obs)
         left = _move(period.subgoal, obs[..., :2], next_obs[..., :2])
+
+        # The reward tells of the subgoal before the step; the released code stores that after it.
         steps = learning.ControlRow(
             obs=obs,
             subgoal=left if self.options.stores_moved_subgoal else period.subgoal,
@@ -146,6 +154,8 @@ class Higl:
             # A simulation that breaks down would be an end without a value: nothing costs less.
             is_running=period.is_running & (period.metrics["broke_down"] == 0.0),
         )
+
+        # A row is one robot's whole subgoal, which the correction weighs by all of its steps.
         subgoals = relabelling.SubgoalRow(
             obs=obs.swapaxes(1, 2),
             action=period.action.swapaxes(1, 2),
@@ -158,6 +168,7 @@ class Higl:
             terminated=periods.is_task_over(period, self.options.reward),
             truncated=period.truncated[:, -1],
         )
+
         return steps, subgoals
 
 

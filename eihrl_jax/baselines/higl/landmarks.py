@@ -55,6 +55,8 @@ class Planner:
           pool: what was seen in stored steps.
           novel: the most novel places.
         """
+        # Kim et al. 2021, Sec. 4.1 and 4.2: landmarks that cover what was visited, and novel ones,
+        # of which there may not be as many yet as there is room for.
         num_coverage = self.options.num_coverage
         spread = ops.farthest_points(pool[:, :2], num_coverage)
         obs = jnp.concatenate([pool[spread], novel.obs])
@@ -86,9 +88,11 @@ class Planner:
             values = self._values(graph.obs, targets)
             values = jnp.where(graph.is_valid[:, None], values, ops.UNREACHABLE)
             edges = ops.cut_edges(values, self.options.cutoff)
+            # Joined once, at last; in the released code the goal takes part in every doubling.
             joined = ops.soft_join(graph.paths, edges, self.options.heat)
             return ways.at[number].set(joined[:, 0])
 
+        # `unique` fills its list up to a fixed size: only the distinct goals are measured.
         nothing = jnp.zeros((goal_xy.shape[0], num_landmarks))
         return jax.lax.fori_loop(0, index.max() + 1, measure, nothing)[index]
 
@@ -120,10 +124,12 @@ class Planner:
 
         # The best path to the goal begins with the landmark of the best score.
         score = cut[:, :-1] + jnp.take_along_axis(ways, near, axis=1)
+        # Where there are few landmarks, some of the nearest places are none.
         score = jnp.where(graph.is_valid[near], score, -jnp.inf)
         best = jnp.argmax(score, axis=1, keepdims=True)
         chosen = landmark_xy[jnp.take_along_axis(near, best, axis=1)[:, 0]]
 
+        # A goal beyond the cutoff isn't near, whatever `near` is: its value has been cut.
         is_near = cut[:, -1] > self.options.near
         return jnp.where(is_near[:, None], goal_xy, chosen)
 
@@ -166,6 +172,7 @@ class Planner:
         features = controller_features(seen, left)
         action = self.level.act(self.controller.actor.params, features)
         values = self.level.values(self.controller.critics.params, features, action)
+        # Critics may promise more than 0, but no way is shorter than none.
         return jnp.minimum(values.min(0), 0.0)
 
 

@@ -99,6 +99,7 @@ class Learning:
         self._options = options
         self.manager = td3.Td3(num_seen + 2, NUM_SUBGOAL, options.manager)
         self.controller = td3.Td3(num_seen, world.num_actions, options.controller)
+        # HIRO needs no table: for it the arena is one square, however large it is.
         num_columns, num_rows = world.side_xy if options.guidance != "none" else (1, 1)
         self._adjacency = adjacency.AdjacencyNetwork(num_rows, num_columns, options.adjacency)
         self._novelty = novelty.Novelty(num_seen, options.landmarks)
@@ -141,6 +142,7 @@ class Learning:
 
         if self._options.guidance == "landmarks":
             shape = self._options.num_updates, self._options.controller.batch_size
+            # Steps of rest are among them: they are no visits, but novelty is learned from them.
             obs = replay.sample(state.low_replay, shape, new_key).next_obs
             new, losses = jax.lax.scan(self._novelty.update, learned.novelty, obs)
             learned = learned.replace(novelty=new)
@@ -162,6 +164,7 @@ class Learning:
     def control_transition(self, row: ControlRow) -> base.Transition:
         """Returns what the controller learns from stored control steps, leading axes any."""
         moved = row.next_obs[..., :2] - row.obs[..., :2]
+        # The controller's own task outlasts the episode; in the released code it ends with it.
         ends = row.is_end if self._options.is_limit_terminal else jnp.zeros_like(row.is_end)
         return base.Transition(
             obs=landmarks.controller_features(row.obs, row.subgoal),
@@ -188,6 +191,7 @@ class Learning:
             reach, num = self._options.manager.reach, self._options.num_candidates
             return relabelling.correct(row, act, reach, num, key)
 
+        # Corrected at every draw: the controller has changed again since the last one.
         keys = jax.random.split(key, row.reward.shape[0])
         action = jax.lax.map(correct, (row, keys), batch_size=_ROWS_AT_ONCE)
         ends = row.terminated | (row.truncated & self._options.is_limit_terminal)
@@ -230,6 +234,7 @@ class Learning:
             row, ahead_xy = xs
             correct_key, noise_key = jax.random.split(key)
             batch = self.subgoal_transition(learned.controller, row, correct_key)
+            # A subgoal counts if its first step does: the episode may have ended on the way.
             weight = row.is_running[:, 0].astype(jnp.float32)
             penalty = self._penalty(learned.places, row.obs[:, 0, :2], ahead_xy)
             return self.manager.update(manager, batch, weight, noise_key, penalty)
@@ -249,14 +254,17 @@ class Learning:
             return here_xy
 
         def lead() -> Float[Array, "U B 2"]:
+            # One graph serves a round, where the released code makes one for every update.
             num_pools = rows.goal_xy.shape[0] if options.per_update else 1
             pools = replay.sample(state.low_replay, (num_pools, options.pool), key).obs
             planner = landmarks.Planner(self.controller, state.learned.controller, options)
             novel, seen = state.learned.novelty, rows.obs[:, :, 0]
             way = planner.lead(novel, pools, seen, rows.goal_xy) - here_xy
+            # Only the direction counts, for a step of fixed length; a landmark right here has none.
             length = jnp.sqrt(jnp.square(way).sum(-1, keepdims=True))
             return here_xy + self._options.landmark_distance * way / jnp.maximum(length, 1e-6)
 
+        # Before the first landmark subgoals are held as HRAC's are, to what is adjacent to here.
         return jax.lax.cond(state.num_steps >= options.first_step, lead, lambda: here_xy)
 
     def _penalty(

@@ -57,6 +57,7 @@ class Novelty:
         target_key, own_key = jax.random.split(key)
         obs, num = jnp.zeros(self._num_features), self._options.num_novel
         params = self._network.init(own_key, obs)["params"]
+        # Burda et al. 2019: the target stays as drawn, so that only visits make it predictable.
         return NoveltyState(
             target_params=self._network.init(target_key, obs)["params"],
             network=optimisation.init(self._optimizer, params),
@@ -75,21 +76,26 @@ class Novelty:
         A place in the queue that a visit comes nearer to than `merge_radius` is dropped: it is no
         longer as novel as it was. Of visits as near to each other the most novel one stays.
         """
+        # Places are told apart by x and y, whatever else was seen there.
         square = jnp.square(state.obs[:, None, :2] - obs[None, :, :2]).sum(-1)
         radius = self._options.merge_radius**2
         is_seen_again = ((square < radius) & is_valid[None]).any(1)
         kept = jnp.where(is_seen_again, -jnp.inf, state.score)
 
+        # Only visits are scored by the networks of now: the queue keeps its scores of then.
         errors = self._errors(state.network.params, state.target_params, obs)
         new = jnp.where(is_valid, errors, -jnp.inf)
         every_obs = jnp.concatenate([state.obs, obs])
         every_xy = every_obs[:, :2]
 
+        # The most novel first, each taking what lies near to it along: the released code keeps all
+        # new ones, which may then lie together.
         def pick(
             score: Float[Array, " A"], _: None
         ) -> tuple[Float[Array, " A"], tuple[Int[Array, ""], Float[Array, ""]]]:
             index = jnp.argmax(score).astype(jnp.int32)
             is_near = jnp.square(every_xy - every_xy[index][None]).sum(-1) < radius
+            # With a radius of 0 nothing is near, not even the place itself.
             left = jnp.where(is_near, -jnp.inf, score).at[index].set(-jnp.inf)
             return left, (index, score[index])
 

@@ -65,13 +65,20 @@ def correct(
     """
     if num_candidates == 1:
         return row.subgoal
+
+    # HIRO, Sec. 3.3: what was asked for, what came of it, and draws around the latter.
     start_xy = row.obs[0, :2]
     achieved = row.next_obs[:2] - start_xy
     noise = SPREAD * reach * jax.random.normal(key, (num_candidates - 2, 2))
     drawn = jnp.clip(achieved[None] + noise, -reach, reach)
     candidates = jnp.concatenate([row.subgoal[None], achieved[None], drawn])
+
+    # Each candidate names a place, to which less is left as the robot goes there.
     left = candidates[:, None] + (start_xy[None] - row.obs[:, :2])[None]
     seen = jnp.broadcast_to(row.obs[None], (num_candidates, *row.obs.shape))
+
+    # HIRO, eq. 5: the candidate of the greatest likelihood has the least squared error.
     error = jnp.square(act(seen, left) - row.action[None]).sum(-1)
+    # What was done at rest led nowhere, and explains nothing.
     error = jnp.where(row.is_running[None], error, 0.0).sum(-1)
     return candidates[jnp.argmin(error)]

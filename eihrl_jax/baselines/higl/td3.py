@@ -38,10 +38,12 @@ class Td3(ActorCritic):
             mlp.Critic(options.hidden),
             2,
             optax.adam(options.actor_rate),
+            # The decay joins the gradient before Adam, which makes it L2 regularisation.
             optax.chain(
                 optax.add_decayed_weights(options.critic_decay), optax.adam(options.critic_rate)
             ),
         )
+
         self.options = options
 
     def act(self, actor_params: base.Params, obs: Float[Array, "*B F"]) -> Float[Array, "*B A"]:
@@ -97,6 +99,7 @@ class Td3(ActorCritic):
         """Returns r + discount * min_i Q_i(s', a') of the averages, a' with clipped noise."""
         options = self.options
         action = self.act(state.target_actor_params, batch.next_obs)
+        # Fujimoto et al. 2018: noise smooths the target over actions that are nearly the same.
         noise = options.target_noise * jax.random.normal(key, action.shape)
         noise = jnp.clip(noise, -options.target_clip, options.target_clip)
         action = self._within_reach(action + noise)
