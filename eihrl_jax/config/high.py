@@ -73,23 +73,27 @@ class Network:
     """Kind and sizes of the actor-critic (paper, Figure 8 gives no sizes).
 
     Attributes:
-      kind: patch: dense layers over tiles of the view; planner: value iteration on the map.
+      kind: patch: dense layers over tiles of the view; planner: value iteration on the map; search:
+        shortest ways on the map.
       tile: side in pixels of the tiles that the first layer looks at; divides the view.
       tile_features: outputs of the first layer per tile.
       hidden: widths of the dense layers that follow.
-      num_iterations: of the planner, cells that values travel.
-      cell_features: of the planner, width of the layer that looks at a cell.
-      value_features: of the planner, width of the layer before the value.
-      around: of the planner, what it looks at beside a cell itself: nothing, the four cells at its
-        sides, or also the four at its corners.
+      num_iterations: of planner and search, cells that values travel; search travels any number
+        once it is trained.
+      look_ahead: of search, cells into the unseen that count for what going there is worth.
+      cell_features: of planner and search, width of the layer that looks at a cell.
+      value_features: of both, width of the layer before the value.
+      around: of both, what they look at beside a cell itself: nothing, the four cells at its sides,
+        or also the four at its corners.
       optimism: of the planner, first worth of what hasn't been seen.
     """
 
-    kind: Literal["patch", "planner"] = "patch"
+    kind: Literal["patch", "planner", "search"] = "patch"
     tile: Annotated[int, limits.Range(1, 256)] = 5  # one cell at five pixels per cell
     tile_features: Annotated[int, limits.Range(1, 1024)] = 16
     hidden: limits.Widths = (128,)
     num_iterations: Annotated[int, limits.Range(0, 1000)] = 24
+    look_ahead: Annotated[int, limits.Range(0, 100)] = 8
     cell_features: Annotated[int, limits.Range(1, 1024)] = 8
     value_features: Annotated[int, limits.Range(1, 4096)] = 32
     around: Literal["nothing", "sides", "corners"] = "sides"
@@ -184,10 +188,10 @@ class HighConfig:
         if self.network.kind == "patch":
             checks.divides("tile", self.network.tile, "pixels", self.task.pixels)
         # A map and a patch have other shapes.
-        if (self.network.kind == "planner") != (self.task.map_radius > 0):
+        if (self.network.kind == "patch") != (self.task.map_radius == 0):
             raise base.UserError(
                 f"network kind = {self.network.kind!r} doesn't fit map_radius = "
-                f"{self.task.map_radius}: the planner needs a map, and nothing else takes one"
+                f"{self.task.map_radius}: a patch takes no map, planner and search need one"
             )
         # Training is compiled in pieces of `log_every` updates, and stops only between them.
 

@@ -40,7 +40,7 @@ class View:
       extent: side in units, 3 to 45.
       pixels: side in pixels, 3 to 128.
       map_radius: cells to every side of the robot's on the map that is shown instead of the square,
-        up to 32; 0: no map.
+        up to 300; 0: no map.
 
     Raises:
       base.UserError: out of these limits.
@@ -49,7 +49,7 @@ class View:
     # The cells of one row have to fit into half a word.
     extent: Annotated[float, limits.Range(base.CELL, 15 * base.CELL)] = 9.0
     pixels: Annotated[int, limits.Range(3, 128)] = 15
-    map_radius: Annotated[int, limits.Range(0, 32)] = 0
+    map_radius: Annotated[int, limits.Range(0, 300)] = 0
 
     def __post_init__(self) -> None:
         """Checks the limits."""
@@ -81,6 +81,10 @@ class View:
     def num_words(self) -> int:
         """Number of words that hold one row of a silhouette."""
         return -(-self.pixels // _WORD)
+
+    def covering(self, rows: int, columns: int) -> "View":
+        """Returns this view with a map of a whole maze, wherever in it the robot is."""
+        return dataclasses.replace(self, map_radius=max(rows, columns))
 
     def offsets(self) -> np.ndarray:
         """Returns the pixel centres' distances from the torso, in units, ascending; [P] float32."""

@@ -128,12 +128,13 @@ def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> li
             low = None
             if movement == "full":
                 low = options.low[i] if options.low else name
-            envs = _envs(options, robot, low, stacked, [high.view for high in highs])
+            views = [high.view_in(stacked) for high in highs]
+            envs = _envs(options, robot, low, stacked, views)
             # One runner for all high levels with a view: those alike share what it compiles.
             runners = {view: rollouts.Runner(env, plan) for view, env in envs.items()}
-            for high in highs:
+            for high, view in zip(highs, views, strict=True):
                 agent = results.Agent(robot=robot.name, movement=movement, high=high.label, low=low)
-                prepared.append(_Prepared(agent, robot, runners[high.view], high.policy))
+                prepared.append(_Prepared(agent, robot, runners[view], high.policy))
         prepared += [_prepare_baseline(options, robot, name, plan, stacked) for name in whole]
     _check_names([item.agent for item in prepared])
     return prepared

@@ -16,7 +16,7 @@ from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import hierarchy, low_obs, oracle_maze, physics_maze, raster, subgoals
 from eihrl_jax.evaluation import rollouts
-from eihrl_jax.networks import actor_critic, droq
+from eihrl_jax.networks import actor_critic, droq, search
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import checkpoint, policies
@@ -29,12 +29,19 @@ class HighLevel:
     Attributes:
       label: its name in tables.
       policy: from what it sees and a key to a direction.
-      view: what it has to see.
+      view: what it had to see in training.
+      takes_any_map: whether its policy takes a map of any size instead.
     """
 
     label: str
     policy: rollouts.HighPolicy
     view: raster.View
+    takes_any_map: bool = False
+
+    def view_in(self, stacked: mazes.Maze) -> raster.View:
+        """Returns what it has to see in some mazes: of a map as much as there is of the largest."""
+        rows, columns = stacked.wall.shape[-2:]
+        return self.view.covering(rows, columns) if self.takes_any_map else self.view
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,9 +110,14 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
     obs = jnp.zeros(view.obs_shape, bool)
     checkpoint.check_same(path, params, jax.eval_shape(network.init, jax.random.key(0), obs))
 
+    # Training has a small map, on which ways are short; here they may be as long as they are.
+    takes_any_map = isinstance(network, search.SearchActorCritic)
+    if takes_any_map:
+        network = network.clone(num_moves=None)
+
     # A pytree of the parameters: policies that differ in them alone share what is compiled.
     policy = jax.tree_util.Partial(_Learned(network, greedy), params)
-    return HighLevel(name, policy, view)
+    return HighLevel(name, policy, view, takes_any_map)
 
 
 @dataclasses.dataclass(frozen=True)

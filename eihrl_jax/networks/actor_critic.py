@@ -3,7 +3,7 @@
 import flax.linen as nn
 
 from eihrl_jax.config import high
-from eihrl_jax.networks import patch_actor_critic, planner
+from eihrl_jax.networks import patch_actor_critic, planner, search
 
 
 def make(options: high.Network) -> nn.Module:
@@ -15,5 +15,13 @@ def make(options: high.Network) -> nn.Module:
             options.value_features,
             options.around,
             options.optimism,
+        )
+    if options.kind == "search":
+        return search.SearchActorCritic(
+            options.num_iterations,
+            options.look_ahead,
+            options.cell_features,
+            options.value_features,
+            options.around,
         )
     return patch_actor_critic.PatchActorCritic(options.tile, options.tile_features, options.hidden)

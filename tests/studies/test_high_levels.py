@@ -21,13 +21,13 @@ from eihrl_jax.studies import ablate_high, train_policies
 from eihrl_jax.training import high
 
 
-def tiny(name, **task):
+def tiny(name, kind="planner", **task):
     """Returns a preset of a few updates that plans on a small map."""
     return high_config.HighConfig(
         preset=name,
         task=high_config.Task(map_radius=2, robot="point", **task),
         network=high_config.Network(
-            kind="planner", num_iterations=3, cell_features=2, value_features=2
+            kind=kind, num_iterations=3, look_ahead=2, cell_features=2, value_features=2
         ),
         learner=high_config.Learner(num_workers=4, window=24, num_updates=5),
         log_every=1,
@@ -97,7 +97,7 @@ def trained(tmp_path_factory):
             (options.run / "config.json").write_text(codec.to_json(options))
 
     with pytest.MonkeyPatch.context() as patch:
-        rooms = tiny("generalist", num_rooms=3, room_sides=(4, 6))
+        rooms = tiny("generalist", "search", num_rooms=3, room_sides=(4, 6))
         patch.setattr(presets, "HIGH", {"best": tiny("best"), "generalist": rooms})
         patch.setattr(high, "train", train_first)
         options = train_policies.PoliciesConfig(
@@ -117,7 +117,7 @@ def test_every_preset_is_trained_in_every_maze_and_the_generalist_in_rooms(train
     )
     _, meta = policies.load(policies.find(trained / "generalist-rooms-1", "high"), kind="high")
     assert meta["maze"] == "3 random rooms"
-    assert meta["network"]["kind"] == "planner" and meta["view"]["map_radius"] == 2
+    assert meta["network"]["kind"] == "search" and meta["view"]["map_radius"] == 2
 
 
 def test_runs_with_dense_reward_have_names_of_their_own(tmp_path):

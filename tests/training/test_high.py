@@ -135,7 +135,7 @@ def test_values_look_beyond_the_limit_where_the_reward_is_dense(tmp_path, reward
         (
             high_config.HighConfig,
             {"network": high_config.Network(kind="planner")},
-            "the planner needs a map",
+            "planner and search need one",
         ),
     ],
 )
@@ -151,7 +151,7 @@ def test_options_out_of_range(part, options, message):
         ({"step": 20.0}, r"step = 20\.0 must be at least 0\.0 and at most 12\.0"),
         ({"extent": 60.0}, r"extent = 60\.0 must be at least 3\.0 and at most 45\.0"),
         ({"pixels": 200}, "pixels = 200 must be at least 3 and at most 128"),
-        ({"map_radius": 33}, "map_radius = 33 must be at least 0 and at most 32"),
+        ({"map_radius": 301}, "map_radius = 301 must be at least 0 and at most 300"),
         (
             {"num_rooms": 4, "room_walls": 0.5},
             r"wall_share = 0\.5 must be at least 0\.0 and at most 0\.4",

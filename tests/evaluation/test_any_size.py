@@ -1,0 +1,63 @@
+"""A high level that searches its map is at home in mazes of any size."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from eihrl_jax import mazes, robots
+from eihrl_jax.config import high as high_config
+from eihrl_jax.envs import raster, subgoals
+from eihrl_jax.evaluation import loading, rollouts
+from eihrl_jax.mazes import paths
+from eihrl_jax.networks import actor_critic
+from eihrl_jax.runs import policies, progress
+
+SNAKE = """
+#####################
+#S........#.........#
+#########.#.#######.#
+#.......#.#.#.....#.#
+#.#####.#.#.#.###.#.#
+#.#...#...#...#.#...#
+#.#.#.#########.#####
+#...#..............1#
+#####################
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a policy whose map had five cells a side, as it is before training."""
+    path = tmp_path_factory.mktemp("search") / "high"
+    view = raster.View(extent=15.0, pixels=15, map_radius=2)
+    options = high_config.Network(kind="search", num_iterations=4, look_ahead=2)
+    params = actor_critic.make(options).init(jax.random.key(0), jnp.zeros(view.obs_shape, bool))
+    meta = {"view": dataclasses.asdict(view), "network": dataclasses.asdict(options)}
+    policies.save(path, kind="high", params=params, meta=meta)
+    return path
+
+
+def test_its_map_is_as_large_as_the_largest_maze(folder):
+    high = loading.load_high(str(folder))
+    assert high.view.map_radius == 2
+    stacked = mazes.stack([mazes.load("u"), mazes.parse(SNAKE)])
+    assert high.view_in(stacked).map_radius == 21
+    patch = loading.load_high("uniform")
+    assert patch.view_in(stacked) == patch.view
+
+
+def test_it_finds_a_goal_that_is_far_beyond_its_training_s_map(folder):
+    high = loading.load_high(str(folder), greedy=True)
+    maze = mazes.parse(SNAKE)
+    shortest = paths.longest_tour(maze)
+    robot, stacked = robots.load("point"), mazes.stack([maze])
+    gait = subgoals.gait(robot, None, 3.0, 0.0)
+    env = loading.oracle_env(robot, stacked, high.view_in(stacked), gait=gait)
+    plan = rollouts.Plan(mazes={"snake": maze}, seeds=(0,), num_episodes=4)
+    with progress.Progress("snake", plan.num_decisions) as bar:
+        episodes = rollouts.Runner(env, plan).run(high.policy, bar)["snake"].episodes
+    np.testing.assert_array_equal(episodes.achieved, 1)
+    assert shortest > 40 and (episodes.decisions >= shortest).all()

@@ -1,0 +1,161 @@
+"""Search turns and mirrors with its map, has neither traps nor a horizon, and differs by moves."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eihrl_jax import base
+from eihrl_jax.mazes import paths
+from eihrl_jax.networks import search
+from tests.networks.test_planner import charts, directions_after
+
+MARGIN = 3
+SIDE = 31 + 2 * MARGIN
+"""All mazes lie on a grid of one size, so that one program serves them; what is outside is wall."""
+
+NETWORK = search.SearchActorCritic(num_moves=None, look_ahead=3, cell_features=4, value_features=4)
+DIRECTIONS_IJ = [(-int(y), int(x)) for x, y in base.DIRECTIONS_XY]
+
+
+@functools.cache
+def _init():
+    chart = jnp.zeros((SIDE, SIDE, 4), bool).at[1, 1, 2].set(True)
+    return jax.jit(NETWORK.init)(jax.random.key(0), chart)
+
+
+@functools.cache
+def _logits():
+    return jax.jit(lambda params, chart: NETWORK.apply(params, chart)[0])
+
+
+def _weights(seed, scale):
+    """Draws any weights: what is proved hangs on none of them."""
+    leaves, structure = jax.tree.flatten(_init())
+    rng = np.random.default_rng(seed)
+    drawn = [scale * rng.normal(size=leaf.shape).astype(np.float32) for leaf in leaves]
+    return jax.tree.unflatten(structure, drawn)
+
+
+def _maze(seed, rows, columns, wall_share):
+    """Draws walls, a start and up to three goals that can be reached from it."""
+    rng = np.random.default_rng(seed)
+    wall = np.ones((SIDE, SIDE), bool)
+    wall[MARGIN : MARGIN + rows, MARGIN : MARGIN + columns] = (
+        rng.random((rows, columns)) < wall_share
+    )
+    free = paths.largest_part(~wall)
+    cells = np.argwhere(free)
+    chosen = cells[rng.permutation(len(cells))[:4]]
+    goal = np.zeros_like(wall)
+    goal[tuple(chosen[1:].T)] = True
+    return wall, goal, tuple(chosen[0]), len(cells)
+
+
+def _explore(choose, wall, goal, cell, limit):
+    """Lets a robot that sees 5 x 5 cells move; returns its moves, and how many goals are left."""
+    seen, goal = np.zeros_like(wall), goal.copy()
+    for moves in range(limit + 1):
+        i, j = cell
+        seen[i - 2 : i + 3, j - 2 : j + 3] = True
+        goal[cell] = False
+        if not goal.any() or moves == limit:
+            return moves, int(goal.sum())
+        robot = np.zeros_like(wall)
+        robot[cell] = True
+        chart = np.stack([seen & wall, seen & goal, robot, ~seen], -1)
+        di, dj = DIRECTIONS_IJ[choose(chart)]
+        if not wall[i + di, j + dj]:
+            cell = (i + di, j + dj)
+    raise AssertionError
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    rows=st.integers(2, 31),
+    columns=st.integers(2, 31),
+    wall_share=st.floats(0.0, 0.45),
+    scale=st.sampled_from([0.1, 1.0, 3.0]),
+)
+def test_every_goal_is_reached_with_any_weights(seed, rows, columns, wall_share, scale):
+    """Within the bound of docs/planning.md."""
+    wall, goal, start, num_free = _maze(seed, rows, columns, wall_share)
+    params = _weights(seed, scale)
+
+    def choose(chart):
+        return int(np.argmax(_logits()(params, chart)))
+
+    # Each phase ends with something new in sight or a goal, and is no longer than a way.
+    num_phases = (rows + 4) * (columns + 4) + int(goal.sum())
+    moves, left = _explore(choose, wall, goal, start, num_phases * num_free)
+    assert left == 0 and moves <= num_phases * num_free
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sampled_directions_reach_every_goal_too(seed):
+    wall, goal, start, num_free = _maze(seed, 21, 21, 0.35)
+    rng = np.random.default_rng(seed)
+    params = _init()
+
+    def choose(chart):
+        return int(np.argmax(np.asarray(_logits()(params, chart)) + rng.gumbel(size=4)))
+
+    assert _explore(choose, wall, goal, start, 20 * num_free)[1] == 0
+
+
+def test_a_choice_means_the_same_near_and_far():
+    """A goal at the end of a corridor of 1 to 25 cells: the same logits wherever it is."""
+    found = []
+    for distance in (1, 2, 7, 25):
+        chart = np.zeros((SIDE, SIDE, 4), bool)
+        chart[..., 0] = True
+        chart[5, 2 : 5 + distance, 0] = False
+        chart[5, 4 + distance, 1] = True
+        chart[5, 4, 2] = True
+        found.append(_logits()(_init(), chart))
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], atol=1e-4)
+    east, west, north, south = found[0]
+    # One move forward, one lost at a wall, two on the way back.
+    assert east > north == south > west
+    np.testing.assert_allclose(east - west, 2.0 * (east - north), rtol=1e-4)
+
+
+def test_where_nothing_is_left_all_directions_are_alike():
+    chart = jnp.zeros((SIDE, SIDE, 4), bool).at[4, 4, 2].set(True)
+    logits, value = NETWORK.apply(_init(), chart)
+    assert not logits.any() and jnp.isfinite(value)
+
+
+@pytest.mark.parametrize("turns", range(4))
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_logits_turn_and_mirror_with_the_map(turns, is_mirrored):
+    def change(grid):
+        return np.rot90(grid[:, ::-1] if is_mirrored else grid, turns)
+
+    batch = charts(6, 9).at[..., 2].set(False).at[:, 4, 4, 2].set(True)
+    network = search.SearchActorCritic(num_moves=8, look_ahead=3, around="corners")
+    params = network.init(jax.random.key(1), batch[0])
+    apply = jax.jit(jax.vmap(network.apply, (None, 0)))
+    logits, values = apply(params, batch)
+    changed = jnp.stack([jnp.asarray(change(np.asarray(chart)).copy()) for chart in batch])
+    turned, same = apply(params, changed)
+    np.testing.assert_allclose(turned[:, np.array(directions_after(change))], logits, atol=1e-4)
+    np.testing.assert_allclose(values, same, atol=1e-5)
+    assert (np.ptp(np.asarray(logits), axis=1) > 1e-2).all()
+
+
+def test_training_s_limited_ways_and_any_ways_agree_where_the_limit_suffices():
+    batch = charts(8, 9).at[..., 2].set(False).at[:, 4, 4, 2].set(True)
+    limited = search.SearchActorCritic(num_moves=40, look_ahead=3)
+    params = limited.init(jax.random.key(1), batch[0])
+    logits, values = jax.jit(jax.vmap(limited.apply, (None, 0)))(params, batch)
+    endless = search.SearchActorCritic(num_moves=None, look_ahead=3)
+    found, same = jax.jit(jax.vmap(endless.apply, (None, 0)))(params, batch)
+    np.testing.assert_allclose(found, logits, atol=1e-5)
+    np.testing.assert_allclose(same, values, atol=1e-5)
