@@ -39,6 +39,8 @@ class EvaluateConfig:
       greedy: take the most likely direction instead of a sample.
       step: units that oracle movement goes per subgoal.
       sigma: standard deviation in units and per axis of the oracle's random offset.
+      anchored: subgoals count from the middle of the robot's cell; none: as in the high level's own
+        training.
       measured: folder of `experiments.measure_low`, whose mean displacement, standard deviation and
         postures take the place of step, sigma and the shipped postures.
       engine: physics engine of full movement.
@@ -62,6 +64,7 @@ class EvaluateConfig:
     greedy: bool = False
     step: float = base.CELL
     sigma: float = base.SIGMA
+    anchored: bool | None = None
     measured: pathlib.Path | None = None
     engine: base.EngineName = "mujoco"
     animate: Animate = "one"

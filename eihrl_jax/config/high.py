@@ -32,6 +32,8 @@ class Task:
         postures take the place of step, sigma and the shipped postures.
       num_postures: how many of the recorded postures are shown, the first ones; None: all.
       num_substeps: pieces in which a move is made, each stopped by walls.
+      anchored: subgoals count from the middle of the robot's cell, so that offsets don't add up; in
+        the paper they count from where the robot is.
       map_radius: cells to every side of the robot's on a map of all that has been in view, which
         the high level sees in place of the view itself; not in the paper. 0: no map.
       num_rooms: random rooms to train in instead of `maze`, another lot for every seed; 0: `maze`.
@@ -50,6 +52,7 @@ class Task:
     measured: pathlib.Path | None = None
     num_postures: limits.UpToMillion | None = None
     num_substeps: int = 6  # of half a unit each at the paper's step
+    anchored: bool = False
     map_radius: int = 0
     num_rooms: Annotated[int, limits.Range(0, 100_000)] = 0
     room_sides: tuple[RoomSide, RoomSide] = (5, 15)

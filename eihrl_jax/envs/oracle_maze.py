@@ -41,6 +41,8 @@ class Movement:
       sigma: standard deviation of the offset on each axis, drawn anew for every decision, units.
       num_substeps: number of equal parts of a move; each stops at walls, one axis after the other.
       body_radius: half the side of the square that can't enter a wall, units.
+      anchored: whether a move also takes the robot back to the middle of its cell, see
+        `task.anchor`.
 
     Raises:
       base.UserError: out of the limits of these numbers.
@@ -50,12 +52,14 @@ class Movement:
     sigma: Annotated[float, limits.Range(0.0, base.CELL)] = base.SIGMA
     num_substeps: Annotated[int, limits.Range(1, 100)] = 6
     body_radius: Annotated[float, limits.Range(0.0, base.CELL / 2)] = 0.7
+    anchored: bool = False
 
     def __post_init__(self) -> None:
         """Checks each number, and that no part of a move can jump over a wall."""
         limits.check(self, "movement ")
         # A normal float32 draw stays below six standard deviations.
-        longest = (self.step + 6 * self.sigma) / self.num_substeps
+        back = task.MAX_WAY_BACK if self.anchored else 0.0
+        longest = (self.step + back + 6 * self.sigma) / self.num_substeps
         if longest >= base.CELL:
             raise base.UserError(
                 f"movement num_substeps {self.num_substeps} is too small: a part of a move could "
@@ -147,6 +151,7 @@ class OracleMaze:
         view: raster.View = raster.View(),
         gait: subgoals.Gait | None = None,
         num_substeps: int = Movement.num_substeps,
+        anchored: bool = Movement.anchored,
         reward: base.Reward = "sparse",
     ) -> "OracleMaze":
         """Builds the maze for a robot, whose postures are shown and whose radius stops at walls.
@@ -157,6 +162,7 @@ class OracleMaze:
           view: see there.
           gait: what the oracle imitates; None: a cell per subgoal, `base.SIGMA`, shipped postures.
           num_substeps: see `Movement`.
+          anchored: see `Movement`.
           reward: see the constructor.
 
         Raises:
@@ -170,6 +176,7 @@ class OracleMaze:
             sigma=gait.sigma,
             num_substeps=num_substeps,
             body_radius=robot.body_radius,
+            anchored=anchored,
         )
         # Drawn once: a decision looks one up, and needs no kinematics.
         silhouettes = postures.footprints(robot, gait.bank, view)
@@ -198,6 +205,8 @@ class OracleMaze:
         # Paper, Sec. 3.2: epsilon is normal; sqrt(2) erf^-1 makes it of a uniform draw.
         noise = self.movement.sigma * math.sqrt(2.0) * jax.lax.erf_inv(draws[:2])
         displacement = self.movement.step * jnp.array(base.DIRECTIONS_XY)[action] + noise
+        if self.movement.anchored:
+            displacement += task.anchor(inner.xy) - inner.xy
         path_xy = self.move(inner.nav, inner.xy, displacement)
 
         nav, outcome = task.advance(self.table, inner.nav, path_xy, self.reward)

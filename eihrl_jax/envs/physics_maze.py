@@ -57,7 +57,7 @@ class Subgoal(struct.PyTreeNode):
     Attributes:
       maze: the episode's maze with its door open.
       nav: where the episode stood when the subgoal was given.
-      start_xy: float32 [2], where the torso was then, units.
+      start_xy: float32 [2], from where it counts, units: where the torso was then, or its anchor.
       direction: int32, the subgoal.
     """
 
@@ -104,6 +104,7 @@ class PhysicsMaze:
         mazes: maze_lib.Maze,
         *,
         view: raster.View,
+        anchored: bool = False,
         reward: base.Reward = "sparse",
     ):
         """Prepares the mazes.
@@ -112,6 +113,7 @@ class PhysicsMaze:
           engine: moves the robot.
           mazes: one maze, or several with a leading axis of which each episode draws one.
           view: extent and resolution of the observation.
+          anchored: whether subgoals count from the middle of the robot's cell, see `task.anchor`.
           reward: "sparse" or "dense".
 
         Raises:
@@ -121,6 +123,7 @@ class PhysicsMaze:
         self.robot = engine.robot
         self.table = task.prepare(mazes, view.margin)
         self.view = view
+        self._anchored = anchored
         self._reward: base.Reward = reward
         self._engine = engine
         # The silhouette is made of the posture at every decision: no bank could hold them all.
@@ -134,10 +137,12 @@ class PhysicsMaze:
         *,
         view: raster.View = raster.View(),
         engine: base.EngineName = "mujoco",
+        anchored: bool = False,
         reward: base.Reward = "sparse",
     ) -> "PhysicsMaze":
         """Builds the maze for a robot and an engine by name; see the constructor."""
-        return cls(engines.make(robot, engine), mazes, view=view, reward=reward)
+        engine_of_robot = engines.make(robot, engine)
+        return cls(engine_of_robot, mazes, view=view, anchored=anchored, reward=reward)
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
         """Draws a new episode, in a given maze or in any; the key is consumed."""
@@ -161,10 +166,12 @@ class PhysicsMaze:
         """Begins a decision; in an episode that is over the robot rests through it."""
         inner = state.inner
         # The door is drawn once per decision instead of in each of its k control steps.
+        torso_xy = inner.body.physics.qpos[:2]
         subgoal = Subgoal(
             maze=task.drawn_maze(self.table, inner.nav),
             nav=inner.nav,
-            start_xy=inner.body.physics.qpos[:2],
+            # The low level is told how far it has come since: so it needs no training for anchors.
+            start_xy=task.anchor(torso_xy) if self._anchored else torso_xy,
             direction=direction,
         )
 

@@ -21,6 +21,9 @@ from eihrl_jax.envs import raster
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import paths
 
+MAX_WAY_BACK = 1.0
+"""Units that an anchored subgoal takes a robot back towards the middle of its cell at most."""
+
 NO_DOOR = -1000
 """Row and column of the open door in a maze without door candidates: farther than one can see."""
 
@@ -165,6 +168,19 @@ def advance(
         is_solved = visited.sum(dtype=jnp.int32) >= _of(table.mazes.num_goals, nav.maze)
     is_late = after.decisions >= _of(table.mazes.num_decisions, nav.maze)
     return after, base.Outcome.of_step(paid, is_solved, is_late)
+
+
+def anchor(xy: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Returns from where an anchored subgoal counts: the centre of the robot's own cell, in units.
+
+    Where the centre is farther than `MAX_WAY_BACK`, as for a robot that leans on a wall, it is the
+    point that far on the way to it. So offsets of many subgoals don't add up.
+
+    Differs from the paper: its subgoals are displacements from where the robot is.
+    """
+    way = maze_lib.way_to_centre(xy)
+    distance = jnp.sqrt((way**2).sum())
+    return xy + way * jnp.minimum(1.0, MAX_WAY_BACK / jnp.maximum(distance, 1e-6))
 
 
 def success(table: MazeTable, nav: Navigation) -> Float[Array, ""]:

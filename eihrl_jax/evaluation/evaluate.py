@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import pathlib
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import evaluate as evaluate_config
@@ -25,6 +26,21 @@ class _Prepared:
     robot: robot_lib.Robot
     runner: rollouts.Runner
     high_policy: rollouts.HighPolicy
+
+
+class _Needs(NamedTuple):
+    """What a high level needs of its environment."""
+
+    view: raster.View
+    anchored: bool
+
+    @classmethod
+    def of(
+        cls, high: loading.HighLevel, stacked: mazes.Maze, options: evaluate_config.EvaluateConfig
+    ) -> "_Needs":
+        """Returns the needs in some mazes; subgoals may be asked for that are of the other kind."""
+        anchored = high.anchored if options.anchored is None else options.anchored
+        return cls(high.view_in(stacked), anchored)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,13 +144,13 @@ def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> li
             low = None
             if movement == "full":
                 low = options.low[i] if options.low else name
-            views = [high.view_in(stacked) for high in highs]
-            envs = _envs(options, robot, low, stacked, views)
-            # One runner for all high levels with a view: those alike share what it compiles.
-            runners = {view: rollouts.Runner(env, plan) for view, env in envs.items()}
-            for high, view in zip(highs, views, strict=True):
+            needs = [_Needs.of(high, stacked, options) for high in highs]
+            envs = _envs(options, robot, low, stacked, needs)
+            # One runner for all high levels with equal needs: those alike share what it compiles.
+            runners = {need: rollouts.Runner(env, plan) for need, env in envs.items()}
+            for high, need in zip(highs, needs, strict=True):
                 agent = results.Agent(robot=robot.name, movement=movement, high=high.label, low=low)
-                prepared.append(_Prepared(agent, robot, runners[view], high.policy))
+                prepared.append(_Prepared(agent, robot, runners[need], high.policy))
         prepared += [_prepare_baseline(options, robot, name, plan, stacked) for name in whole]
     _check_names([item.agent for item in prepared])
     return prepared
@@ -161,9 +177,9 @@ def _envs(
     robot: robot_lib.Robot,
     low: str | None,
     stacked: mazes.Maze,
-    views: Sequence[raster.View],
-) -> dict[raster.View, rollouts.Recordable]:
-    """Builds one environment for each view, which high levels with that view share.
+    needs: Sequence[_Needs],
+) -> dict[_Needs, rollouts.Recordable]:
+    """Builds one environment for each kind of needs, which high levels with these share.
 
     Its robot is driven by the low level `low`, or moved by the oracle where that is None.
     """
@@ -177,7 +193,7 @@ def _envs(
             loading.full_env, engine, stacked, low_policy=low_policy, reward=reward
         )
 
-    return {view: make(view) for view in dict.fromkeys(views)}
+    return {need: make(view=need.view, anchored=need.anchored) for need in dict.fromkeys(needs)}
 
 
 def _check_names(agents: Sequence[results.Agent]) -> None:

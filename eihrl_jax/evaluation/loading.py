@@ -30,12 +30,14 @@ class HighLevel:
       label: its name in tables.
       policy: from what it sees and a key to a direction.
       view: what it had to see in training.
+      anchored: whether its subgoals counted from the middle of the robot's cell in training.
       takes_any_map: whether its policy takes a map of any size instead.
     """
 
     label: str
     policy: rollouts.HighPolicy
     view: raster.View
+    anchored: bool = False
     takes_any_map: bool = False
 
     def view_in(self, stacked: mazes.Maze) -> raster.View:
@@ -117,7 +119,9 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
 
     # A pytree of the parameters: policies that differ in them alone share what is compiled.
     policy = jax.tree_util.Partial(_Learned(network, greedy), params)
-    return HighLevel(name, policy, view, takes_any_map)
+    # Policies from before there were anchors don't say.
+    anchored = meta.get("movement", {}).get("anchored", False) is True
+    return HighLevel(name, policy, view, anchored, takes_any_map)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,6 +182,7 @@ def oracle_env(
     view: raster.View,
     *,
     gait: subgoals.Gait,
+    anchored: bool = False,
     reward: base.Reward = "sparse",
 ) -> RecordableOracle:
     """Returns oracle movement in several mazes.
@@ -187,12 +192,15 @@ def oracle_env(
       stacked: mazes with a leading axis.
       view: what the high level sees.
       gait: what the oracle imitates.
+      anchored: whether subgoals count from the middle of the robot's cell.
       reward: "sparse" or "dense".
 
     Raises:
       base.UserError: a number is out of its limits.
     """
-    env = oracle_maze.OracleMaze.of_robot(robot, stacked, view=view, gait=gait, reward=reward)
+    env = oracle_maze.OracleMaze.of_robot(
+        robot, stacked, view=view, gait=gait, anchored=anchored, reward=reward
+    )
     return RecordableOracle(env, gait.bank.qpos)
 
 
@@ -202,10 +210,11 @@ def full_env(
     view: raster.View,
     low_policy: hierarchy.LowPolicy,
     *,
+    anchored: bool = False,
     reward: base.Reward = "sparse",
 ) -> hierarchy.Hierarchy:
     """Returns the full hierarchy in several mazes: a robot with physics and its low level."""
-    env = physics_maze.PhysicsMaze(engine, stacked, view=view, reward=reward)
+    env = physics_maze.PhysicsMaze(engine, stacked, view=view, anchored=anchored, reward=reward)
     return hierarchy.Hierarchy(env, low_policy)
 
 

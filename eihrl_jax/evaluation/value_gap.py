@@ -125,14 +125,17 @@ def _oracle_env(stacked: mazes.Maze, high: loading.HighLevel, sigma: float) -> r
     """Returns oracle movement with one noise level."""
     robot = robots.load(ORACLE_ROBOT)
     gait = subgoals.Gait(base.CELL, sigma, postures.for_robot(robot))
-    return loading.oracle_env(robot, stacked, high.view_in(stacked), gait=gait)
+    view = high.view_in(stacked)
+    return loading.oracle_env(robot, stacked, view, gait=gait, anchored=high.anchored)
 
 
 def _full_env(stacked: mazes.Maze, high: loading.HighLevel, name: str) -> rollouts.Recordable:
     """Returns the full hierarchy with a robot's shipped low level."""
     robot = robots.load(name)
     engine = engines.make(robot, "mujoco")
-    return loading.full_env(engine, stacked, high.view_in(stacked), loading.load_low(name, robot))
+    low_policy = loading.load_low(name, robot)
+    view = high.view_in(stacked)
+    return loading.full_env(engine, stacked, view, low_policy, anchored=high.anchored)
 
 
 def _values(

@@ -202,7 +202,14 @@ def _with_physics(options: high_config.HighConfig) -> hierarchy.Hierarchy:
     oracle = high.make_env(task, options.seed)
     low_policy = loading.load_low(task.robot, robot)
     engine = engines.make(robot, "mujoco")  # The comparison is made on processors.
-    return loading.full_env(engine, oracle.table.mazes, oracle.view, low_policy, reward=task.reward)
+    return loading.full_env(
+        engine,
+        oracle.table.mazes,
+        oracle.view,
+        low_policy,
+        anchored=task.anchored,
+        reward=task.reward,
+    )
 
 
 def _in_rows(

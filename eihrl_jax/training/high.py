@@ -158,7 +158,11 @@ class _Job(loop.Job[LearnerState]):
             "robot": robots.load(task.robot).name,
             "view": dataclasses.asdict(self.env.view),
             "network": dataclasses.asdict(self.config.network),
-            "movement": {"step": self.env.movement.step, "sigma": self.env.movement.sigma},
+            "movement": {
+                "step": self.env.movement.step,
+                "sigma": self.env.movement.sigma,
+                "anchored": self.env.movement.anchored,
+            },
             "config": dataclasses.asdict(task) | dataclasses.asdict(self.config.learner),
             "num_updates": int(state.num_updates),
             "num_decisions": int(state.num_decisions),
@@ -187,6 +191,7 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
         view=view,
         gait=gait._replace(bank=shown),
         num_substeps=task.num_substeps,
+        anchored=task.anchored,
         reward=task.reward,
     )
 

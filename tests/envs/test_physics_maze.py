@@ -7,6 +7,7 @@ import pytest
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.envs import hierarchy, physics_maze, raster, task
+from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.physics import engines
 from tests.envs import pictures
 from tests.envs.sled import K, Sled
@@ -217,3 +218,17 @@ def test_walls_stop_it_and_batches_change_nothing(rolling):
     assert xy[..., 1].max() < -half
     assert xy[..., 1].min() > -4 * base.CELL - 0.1
     assert xy[0, -1, 0] < 1.5 * base.CELL  # it did get there
+
+
+@pytest.mark.parametrize("anchored", [False, True])
+def test_an_anchored_subgoal_counts_from_the_middle_of_the_cell(maze, anchored):
+    env = physics_maze.PhysicsMaze(Sled(), maze, view=raster.View(), anchored=anchored)
+    state = env.reset(jax.random.key(0))
+    torso_xy = state.inner.body.physics.qpos[:2]
+    subgoal, body = env.begin(state, jnp.int32(EAST))
+    centre = maze_lib.cell_xy(jnp.array([1, 1]))
+    assert float(jnp.abs(torso_xy - centre).max()) > 1e-3
+    np.testing.assert_allclose(subgoal.start_xy, centre if anchored else torso_xy, atol=1e-5)
+    # The low level is told the way that it has already come, or has to make up for.
+    come = env.low_obs(subgoal, body).displacement_xy
+    np.testing.assert_allclose(come, torso_xy - subgoal.start_xy, atol=1e-5)

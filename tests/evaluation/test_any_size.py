@@ -36,17 +36,18 @@ def folder(tmp_path_factory):
     options = high_config.Network(kind="search", num_iterations=4, look_ahead=2)
     params = actor_critic.make(options).init(jax.random.key(0), jnp.zeros(view.obs_shape, bool))
     meta = {"view": dataclasses.asdict(view), "network": dataclasses.asdict(options)}
+    meta |= {"movement": {"step": 3.0, "sigma": 0.0, "anchored": True}}
     policies.save(path, kind="high", params=params, meta=meta)
     return path
 
 
 def test_its_map_is_as_large_as_the_largest_maze(folder):
     high = loading.load_high(str(folder))
-    assert high.view.map_radius == 2
+    assert high.view.map_radius == 2 and high.anchored
     stacked = mazes.stack([mazes.load("u"), mazes.parse(SNAKE)])
     assert high.view_in(stacked).map_radius == 21
     patch = loading.load_high("uniform")
-    assert patch.view_in(stacked) == patch.view
+    assert patch.view_in(stacked) == patch.view and not patch.anchored
 
 
 def test_it_finds_a_goal_that_is_far_beyond_its_training_s_map(folder):
@@ -55,7 +56,8 @@ def test_it_finds_a_goal_that_is_far_beyond_its_training_s_map(folder):
     shortest = paths.longest_tour(maze)
     robot, stacked = robots.load("point"), mazes.stack([maze])
     gait = subgoals.gait(robot, None, 3.0, 0.0)
-    env = loading.oracle_env(robot, stacked, high.view_in(stacked), gait=gait)
+    view = high.view_in(stacked)
+    env = loading.oracle_env(robot, stacked, view, gait=gait, anchored=high.anchored)
     plan = rollouts.Plan(mazes={"snake": maze}, seeds=(0,), num_episodes=4)
     with progress.Progress("snake", plan.num_decisions) as bar:
         episodes = rollouts.Runner(env, plan).run(high.policy, bar)["snake"].episodes
