@@ -111,16 +111,15 @@ class SearchActorCritic(nn.Module):
         robot: Bool[Array, "n m"],
     ) -> tuple[Float[Array, "4"], Float[Array, ""]]:
         """Returns the values of the four directions, and the best of the cells around the robot."""
-
-        def at_robot(grids: planning.Four) -> Array:
-            return jnp.stack([jnp.where(robot, grid, 0.0).sum() for grid in grids])
-
-        around = at_robot(planning.neighbours(values))
+        # Never at the rim of its map, the robot has neighbours there that are its own.
+        columns = robot.shape[1]
+        beside = jnp.argmax(robot) + jnp.array([1, -1, -columns, columns])
+        around = values.ravel()[beside]
         best = around.max()
+
         # One can come back through the robot's cell; who bumps into a wall stays in it.
         around = jnp.maximum(around, best - 2.0)
-        is_wall = at_robot(planning.neighbours(wall.astype(jnp.float32))) > 0.0
-        return jnp.where(is_wall, best - 1.0, around), best
+        return jnp.where(wall.ravel()[beside], best - 1.0, around), best
 
     def _value(
         self,
