@@ -4,11 +4,16 @@
 """
 
 import difflib
+import functools
+import os
 import sys
 from collections.abc import Callable, Sequence
+from typing import ParamSpec
 
 import eihrl_jax
 from eihrl_jax.cli.command import Command
+
+P = ParamSpec("P")
 
 Make = Callable[[], Command]
 
@@ -195,11 +200,29 @@ COMMANDS: dict[str, Make] = {
 """By name; `eihrl` writes a hyphen for an underscore."""
 
 
+def _ends_with_its_reader(call: Callable[P, None]) -> Callable[P, None]:
+    """Ends the process quietly when nobody reads its output any more, as in `eihrl | head`."""
+
+    @functools.wraps(call)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            call(*args, **kwargs)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            # Python flushes once more at its end, which must not fail again.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(141)  # 128 + SIGPIPE, as shells have it
+
+    return wrapped
+
+
+@_ends_with_its_reader
 def run(name: str) -> None:
     """Runs a command with the arguments of this process, as `python -m experiments.<name>`."""
     _run(name, sys.argv[1:], f"python -m experiments.{name}")
 
 
+@_ends_with_its_reader
 def main(argv: Sequence[str] | None = None) -> None:
     """Runs `eihrl <command> [options]`, or lists the commands."""
     # No parser for so little: all options are those of the commands, see `shell`.

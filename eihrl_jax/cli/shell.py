@@ -75,7 +75,8 @@ def _in_todays_words(argv: Sequence[str], earlier: Mapping[tuple[str, str], str]
         if word.startswith("--"):
             # `--option=value` is one word, which both replacements concern.
             name, equals, value = word.partition("=")
-            option = earlier.get(("", name), name)
+            # The parser takes underscores for hyphens, and so did the earlier spellings.
+            option = earlier.get(("", name.replace("_", "-")), name)
             words.append(option + equals + earlier.get((option, value), value))
         else:
             # Of the last option, which may have several values.

@@ -66,3 +66,17 @@ def test_a_list_of_commands_and_the_package_itself_load_no_jax():
         "assert not heavy, heavy\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("code", ["main([])", "main(['train-high', '--help'])", "run('demo')"])
+def test_who_stops_reading_ends_a_command_without_a_traceback(code):
+    """As in `eihrl | head`."""
+    imports = "import sys; from eihrl_jax.cli import commands; sys.argv = ['x', '--help']"
+    with subprocess.Popen(
+        [sys.executable, "-c", f"{imports}; commands.{code}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 141

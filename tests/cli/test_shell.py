@@ -70,10 +70,17 @@ def test_preset_sets_defaults_that_options_change(arguments):
 
 
 @pytest.mark.parametrize(
-    "arguments", [("--motor", "mj_c"), ("--motor=mj_c",), ("--engine", "mj_c"), ("--motor=mujoco",)]
+    "arguments",
+    [
+        ("--the-motor", "mj_c"),
+        ("--the-motor=mj_c",),
+        ("--the_motor", "mj_c"),
+        ("--engine", "mj_c"),
+        ("--the-motor=mujoco",),
+    ],
 )
 def test_earlier_spellings_of_options_and_of_their_values_are_understood(arguments):
-    earlier = {("", "--motor"): "--engine", ("--engine", "mj_c"): "mujoco"}
+    earlier = {("", "--the-motor"): "--engine", ("--engine", "mj_c"): "mujoco"}
     found = []
     command = Command(found.append, Options, earlier=earlier)
     shell.run(command, [*arguments, "--run", "mj_c"], "test")
