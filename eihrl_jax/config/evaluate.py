@@ -12,6 +12,9 @@ Animate = Literal["one", "all", "none"]
 UNIFORM = "uniform"
 """What the high level is called that chooses directions uniformly (the paper's RAND-H)."""
 
+FRONTIER = "frontier"
+"""What the high level is called that goes to the nearest cell not seen yet, without learning."""
+
 UNIFORM_NAMES = (UNIFORM, "random")
 """What `--high` takes for it; "random" is the name that it once had, now a maze's alone."""
 
@@ -27,7 +30,8 @@ class EvaluateConfig:
       mazes: names (random, u, s, spiral, g1, g2, g3) or text files; default: Table 1 of the paper.
       robot: point, ant, swimmer, humanoid or description files (docs/robots.md).
       movement: oracle: the simulator moves the torso; full: the robot itself, with a low level.
-      high: run folders, policy folders or names of shipped policies; uniform: uniform directions.
+      high: run folders, policy folders or names of shipped policies; uniform: uniform directions;
+        frontier: the nearest cell that hasn't been seen, on the same map as network kind search.
         A baseline's run folder stands for the whole baseline, which has full movement only.
       low: low level of each robot for full movement, like `high`; none: the robots' shipped ones.
       reward: of the task, in which returns are counted; with dense reward episodes last until their

@@ -17,9 +17,13 @@ from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import hierarchy, low_obs, oracle_maze, physics_maze, raster, subgoals
 from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import actor_critic, droq, search
+from eihrl_jax.ops import planning
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import checkpoint, policies
+
+_BEFORE_ANYTHING_ELSE = 1e5
+"""Worth of a goal to `frontier`, in moves: more than any way has."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +92,8 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
     """Loads a high level.
 
     Args:
-      name: run folder, policy folder or shipped name; "uniform" for uniform directions.
+      name: run folder, policy folder or shipped name; "uniform" for uniform directions; "frontier"
+        for the nearest cell that hasn't been seen.
       greedy: take the most likely direction instead of a sample.
 
     Raises:
@@ -101,6 +106,12 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
     if name in evaluate_config.UNIFORM_NAMES:
         policy = jax.tree_util.Partial(_uniform_direction)
         return HighLevel(evaluate_config.UNIFORM, policy, raster.View())
+
+    if name == evaluate_config.FRONTIER:
+        policy = jax.tree_util.Partial(_towards_the_unseen)
+        # Five cells a side are in sight, as of preset `best`.
+        view = raster.View(extent=15.0, pixels=25, map_radius=8)
+        return HighLevel(name, policy, view, anchored=True, takes_any_map=True)
 
     path = policies.find(name, "high")
     params, meta = policies.load(path, kind="high")
@@ -222,3 +233,16 @@ def _uniform_direction(obs: raster.Picture | None, key: Key[Array, ""]) -> Int[A
     """Chooses any direction, whatever it sees (the paper's RAND-H)."""
     del obs
     return jax.random.randint(key, (), 0, base.NUM_DIRECTIONS)
+
+
+def _towards_the_unseen(obs: raster.Picture, key: Key[Array, ""]) -> Int[Array, ""]:
+    """Goes for the nearest goal in view and else for the nearest cell that hasn't been seen.
+
+    Source: frontier-based exploration (Yamauchi 1997).
+    """
+    del key
+    wall, goal, robot, unseen = (obs[..., channel] for channel in range(4))
+    worth = jnp.where(unseen, 0.0, planning.NOWHERE)
+    worth = jnp.where(goal, _BEFORE_ANYTHING_ELSE, worth)
+    values = planning.search(worth, ~wall, robot)
+    return jnp.argmax(planning.at_sides(values, robot)).astype(jnp.int32)

@@ -11,7 +11,7 @@ from typing import cast
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Num
+from jaxtyping import Array, Bool, Float, Int, Num, Shaped
 
 Four = tuple[Array, Array, Array, Array]
 """One array per direction, in the order of `base.DIRECTIONS_XY`."""
@@ -104,6 +104,13 @@ def search(
     start = (flat_worth, jnp.float32(0.0), jnp.array(True))
     values, _, _ = jax.lax.while_loop(is_unsettled, advance, start)
     return values.reshape(-1, width)[:, :-1]
+
+
+def at_sides(grid: Shaped[Array, "n m"], robot: Bool[Array, "n m"]) -> Shaped[Array, "4"]:
+    """Returns what a grid holds in the four cells around the robot's, which isn't at the rim."""
+    columns = grid.shape[1]
+    beside = jnp.argmax(robot) + jnp.array([1, -1, -columns, columns])
+    return grid.ravel()[beside]
 
 
 def neighbours(grid: Num[Array, "*k n m"]) -> Four:

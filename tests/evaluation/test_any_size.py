@@ -50,16 +50,35 @@ def test_its_map_is_as_large_as_the_largest_maze(folder):
     assert patch.view_in(stacked) == patch.view and not patch.anchored
 
 
-def test_it_finds_a_goal_that_is_far_beyond_its_training_s_map(folder):
-    high = loading.load_high(str(folder), greedy=True)
-    maze = mazes.parse(SNAKE)
-    shortest = paths.longest_tour(maze)
+def run(high, maze, num_episodes=4):
+    """Runs episodes of a point that the oracle moves, without offsets."""
     robot, stacked = robots.load("point"), mazes.stack([maze])
     gait = subgoals.gait(robot, None, 3.0, 0.0)
     view = high.view_in(stacked)
     env = loading.oracle_env(robot, stacked, view, gait=gait, anchored=high.anchored)
-    plan = rollouts.Plan(mazes={"snake": maze}, seeds=(0,), num_episodes=4)
-    with progress.Progress("snake", plan.num_decisions) as bar:
-        episodes = rollouts.Runner(env, plan).run(high.policy, bar)["snake"].episodes
+    plan = rollouts.Plan(mazes={"maze": maze}, seeds=(0,), num_episodes=num_episodes)
+    with progress.Progress("maze", plan.num_decisions) as bar:
+        return rollouts.Runner(env, plan).run(high.policy, bar)["maze"].episodes
+
+
+@pytest.mark.parametrize("name", ["search", "frontier"])
+def test_it_finds_a_goal_that_is_far_beyond_its_training_s_map(folder, name):
+    high = loading.load_high(str(folder) if name == "search" else name, greedy=True)
+    maze = mazes.parse(SNAKE)
+    shortest, episodes = paths.longest_tour(maze), run(high, maze)
     np.testing.assert_array_equal(episodes.achieved, 1)
     assert shortest > 40 and (episodes.decisions >= shortest).all()
+
+
+def test_frontier_goes_for_the_nearest_unseen_cell_unless_a_goal_is_in_view():
+    """In a corridor: the unseen is two moves to the east, or seven to the west."""
+    chart = np.zeros((13, 13, 4), bool)
+    chart[..., 0] = True
+    chart[6, 1:12, 0] = False
+    chart[6, 8, 2] = True
+    chart[6, [1, 10], 3] = True
+    choose = loading.load_high("frontier").policy
+    key = jax.random.key(0)
+    assert choose(jnp.asarray(chart), key) == 0
+    chart[6, 2, 1] = True
+    assert choose(jnp.asarray(chart), key) == 1
