@@ -196,7 +196,6 @@ class HighConfig:
                 f"network kind = {self.network.kind!r} doesn't fit map_radius = "
                 f"{self.task.map_radius}: a patch takes no map, planner and search need one"
             )
-        # Training is compiled in pieces of `log_every` updates, and stops only between them.
 
         # The pieces in which training is compiled: all else happens between two of them.
         checks.divides("log_every", self.log_every, "num_updates", self.learner.num_updates)

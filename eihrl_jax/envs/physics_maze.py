@@ -165,9 +165,9 @@ class PhysicsMaze:
     def begin(self, state: EnvState, direction: Int[Array, ""]) -> tuple[Subgoal, Body]:
         """Begins a decision; in an episode that is over the robot rests through it."""
         inner = state.inner
-        # The door is drawn once per decision instead of in each of its k control steps.
         torso_xy = inner.body.physics.qpos[:2]
         subgoal = Subgoal(
+            # The door is drawn once per decision instead of in each of its k control steps.
             maze=task.drawn_maze(self.table, inner.nav),
             nav=inner.nav,
             # The low level is told how far it has come since: so it needs no training for anchors.

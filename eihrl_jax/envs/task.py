@@ -178,7 +178,7 @@ def anchor(xy: Float[Array, "2"]) -> Float[Array, "2"]:
 
     Differs from the paper: its subgoals are displacements from where the robot is.
     """
-    way = maze_lib.way_to_centre(xy)
+    way = maze_lib.cell_xy(maze_lib.cell_ij(xy)) - xy
     distance = jnp.sqrt((way**2).sum())
     return xy + way * jnp.minimum(1.0, MAX_WAY_BACK / jnp.maximum(distance, 1e-6))
 

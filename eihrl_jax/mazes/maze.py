@@ -57,11 +57,6 @@ def cell_xy(ij: Num[Array, "2"]) -> Float[Array, "2"]:
     return (ij[::-1].astype(jnp.float32) + 0.5) * jnp.array([base.CELL, -base.CELL])
 
 
-def way_to_centre(xy: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Returns the way in units from a position to the centre of its cell."""
-    return cell_xy(cell_ij(xy)) - xy
-
-
 def is_wall(maze: Maze, xy: Float[Array, "2"]) -> Bool[Array, ""]:
     """Returns whether a position is inside a wall; everything outside the grid is."""
     # A negative index must not count from the other end: it lies outside as well.

@@ -88,7 +88,7 @@ def search(
     width = worth.shape[1] + 1
     flat_worth, flat_open = _flat(worth, is_open)
     greatest = flat_worth.max()
-    beside = jnp.argmax(jnp.pad(robot, ((0, 0), (0, 1)))) + jnp.array([1, -1, -width, width])
+    beside = _beside(jnp.pad(robot, ((0, 0), (0, 1))))
     beside = jnp.where(beside < 0, flat_worth.size, beside)  # outside, as what is too far behind
 
     def is_unsettled(carry: tuple[Array, Array, Array]) -> Array:
@@ -108,9 +108,7 @@ def search(
 
 def at_sides(grid: Shaped[Array, "n m"], robot: Bool[Array, "n m"]) -> Shaped[Array, "4"]:
     """Returns what a grid holds in the four cells around the robot's, which isn't at the rim."""
-    columns = grid.shape[1]
-    beside = jnp.argmax(robot) + jnp.array([1, -1, -columns, columns])
-    return grid.ravel()[beside]
+    return grid.ravel()[_beside(robot)]
 
 
 def neighbours(grid: Num[Array, "*k n m"]) -> Four:
@@ -159,14 +157,12 @@ def _backward(
         carry: tuple[Array, Array, Array], values: Float[Array, " L"]
     ) -> tuple[tuple[Array, Array, Array], None]:
         of_values, of_reward, of_gate = carry
-        # Which neighbour was the best; -1 outside.
         around = _shifted(values, width)
-        chosen = _shifted(_best(around), width, outside=-1)
-
         passed = _shifted(of_values * gate, width)
-        # My neighbour in x+ hands down to me if its best neighbour is the one in x-, and so on.
+        # A neighbour hands down to me if I am its best neighbour.
         handed = [
-            jnp.where(chosen[k] == back, passed[k], 0.0) for k, back in enumerate((1, 0, 3, 2))
+            jnp.where(is_best, each, 0.0)
+            for is_best, each in zip(_is_best_of_neighbour(around, width), passed, strict=True)
         ]
         of_gate += of_values * functools.reduce(jnp.maximum, around)
         return (functools.reduce(jnp.add, handed), of_reward + of_values, of_gate), None
@@ -211,11 +207,12 @@ def _reach_backward(
     worth, values = residuals
     is_end = values <= worth
     # Ways are chains of best neighbours, as U has them at the end; who has arrived stays.
+    around = _shifted(values, width, outside=NOWHERE)
     is_on_the_way = _shifted(jnp.where(is_end, 0.0, 1.0), width)
     comes_from = [
         jnp.where(is_best, on_the_way, 0.0)
         for is_best, on_the_way in zip(
-            _is_best_of_neighbour(values, width), is_on_the_way, strict=True
+            _is_best_of_neighbour(around, width), is_on_the_way, strict=True
         )
     ]
 
@@ -244,20 +241,28 @@ def _sweep(
     return jnp.where(is_open, jnp.maximum(worth, best - 1.0), NOWHERE)
 
 
-def _is_best_of_neighbour(values: Float[Array, " L"], width: int) -> Four:
-    """Returns for each direction whether a cell is the best neighbour of its neighbour there."""
-    chosen = _shifted(_best(_shifted(values, width, outside=NOWHERE)), width, outside=-1)
-    # My neighbour in x+ comes to me if its best neighbour is the one in x-, and so on.
+def _is_best_of_neighbour(around: Four, width: int) -> Four:
+    """Returns for each direction whether a cell is the best neighbour of its neighbour there.
+
+    Args:
+      around: the values of each cell's neighbours, on flat rows of `width`.
+      width: of a row.
+    """
+    # Which neighbour is the greatest: 0 to 3 in the order of the directions, -1 outside.
+    east, west, north, south = around
+    across, along = jnp.maximum(east, west), jnp.maximum(north, south)
+    best_across, best_along = jnp.where(east >= west, 0, 1), jnp.where(north >= south, 2, 3)
+    chosen = _shifted(jnp.where(across >= along, best_across, best_along), width, outside=-1)
+
+    # I am the best neighbour of mine in x+ if it chose the one in x-, and so on.
     east, west, north, south = (chosen[k] == back for k, back in enumerate((1, 0, 3, 2)))
     return east, west, north, south
 
 
-def _best(around: Four) -> Array:
-    """Returns which neighbour is the greatest: 0 to 3 in the order of the directions."""
-    east, west, north, south = around
-    across, along = jnp.maximum(east, west), jnp.maximum(north, south)
-    best_across, best_along = jnp.where(east >= west, 0, 1), jnp.where(north >= south, 2, 3)
-    return jnp.where(across >= along, best_across, best_along)
+def _beside(robot: Bool[Array, "n m"]) -> Int[Array, "4"]:
+    """Returns the flat indices of the four cells around the robot's."""
+    columns = robot.shape[1]
+    return jnp.argmax(robot) + jnp.array([1, -1, -columns, columns])
 
 
 def _flat(
