@@ -35,6 +35,9 @@ MovementName = Literal["oracle", "full"]
 
 MOVEMENTS: tuple[MovementName, ...] = get_args(MovementName)
 
+Knows = Literal["nothing", "goal", "map"]
+"""What a high level with a map is told at the start: nothing, where goals are, or everything."""
+
 EngineName = Literal["mujoco", "mjx"]
 """Physics: MuJoCo's C code on the processor, or MJX, which JAX compiles for an accelerator."""
 

@@ -15,6 +15,9 @@ UNIFORM = "uniform"
 FRONTIER = "frontier"
 """What the high level is called that goes to the nearest cell not seen yet, without learning."""
 
+SHORTEST = "shortest"
+"""What the high level is called that knows the map and goes the shortest way to a goal."""
+
 UNIFORM_NAMES = (UNIFORM, "random")
 """What `--high` takes for it; "random" is the name that it once had, now a maze's alone."""
 
@@ -31,7 +34,8 @@ class EvaluateConfig:
       robot: point, ant, swimmer, humanoid or description files (docs/robots.md).
       movement: oracle: the simulator moves the torso; full: the robot itself, with a low level.
       high: run folders, policy folders or names of shipped policies; uniform: uniform directions;
-        frontier: the nearest cell that hasn't been seen, on the same map as network kind search.
+        frontier: the nearest cell that hasn't been seen, on the same map as network kind search;
+        shortest: the shortest way to the nearest goal, as the map, which it knows, has it.
         A baseline's run folder stands for the whole baseline, which has full movement only.
       low: low level of each robot for full movement, like `high`; none: the robots' shipped ones.
       reward: of the task, in which returns are counted; with dense reward episodes last until their
@@ -45,6 +49,8 @@ class EvaluateConfig:
       sigma: standard deviation in units and per axis of the oracle's random offset.
       anchored: subgoals count from the middle of the robot's cell; none: as in the high level's own
         training.
+      knows: what is on the map from the start: nothing, the cells of the goal, or the whole map;
+        none: as in the high level's own training.
       measured: folder of `experiments.measure_low`, whose mean displacement, standard deviation and
         postures take the place of step, sigma and the shipped postures.
       engine: physics engine of full movement.
@@ -69,6 +75,7 @@ class EvaluateConfig:
     step: float = base.CELL
     sigma: float = base.SIGMA
     anchored: bool | None = None
+    knows: base.Knows | None = None
     measured: pathlib.Path | None = None
     engine: base.EngineName = "mujoco"
     animate: Animate = "one"

@@ -36,6 +36,7 @@ class Task:
         the paper they count from where the robot is.
       map_radius: cells to every side of the robot's on a map of all that has been in view, which
         the high level sees in place of the view itself; not in the paper. 0: no map.
+      knows: what is on the map from the start: nothing, the cells of the goal, or the whole map.
       num_rooms: random rooms to train in instead of `maze`, another lot for every seed; 0: `maze`.
       room_sides: least and greatest number of rows and columns inside of such a room.
       room_walls: greatest share of inner wall in such a room.
@@ -54,6 +55,7 @@ class Task:
     num_substeps: int = 6  # of half a unit each at the paper's step
     anchored: bool = False
     map_radius: int = 0
+    knows: base.Knows = "nothing"
     num_rooms: Annotated[int, limits.Range(0, 100_000)] = 0
     room_sides: tuple[RoomSide, RoomSide] = (5, 15)
     room_walls: float = 0.3

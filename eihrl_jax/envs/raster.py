@@ -28,8 +28,11 @@ from eihrl_jax.physics import kinematics
 _WORD = 32  # bits
 _GOAL_SHIFT = 16  # a row's walls are in the lower half of its word, its goals in the upper half
 
-Picture: TypeAlias = Bool[Array, "n n C"]
-"""A patch of n pixels or a map of n cells a side, see `View.obs_shape`."""
+Picture: TypeAlias = Bool[Array, "n m C"]
+"""A square patch of pixels, or a map of cells, see `View.obs_shape`."""
+
+WHOLE_MARGIN = 8
+"""Cells that the map of a whole maze goes on beyond it, so that it doesn't tell where it ends."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -41,23 +44,39 @@ class View:
       pixels: side in pixels, 3 to 128.
       map_radius: cells to every side of the robot's on the map that is shown instead of the square,
         up to 300; 0: no map.
+      map_shape: rows and columns of the mazes that are shown as a whole instead, the largest that
+        there is, wherever in them the robot is; None: the map is around the robot.
+      knows: what is on the map from the start: "nothing", the cells of the "goal", or the whole
+        "map".
 
     Raises:
-      base.UserError: out of these limits.
+      base.UserError: out of these limits, or something is known and there is no map to show it.
     """
 
     # The cells of one row have to fit into half a word.
     extent: Annotated[float, limits.Range(base.CELL, 15 * base.CELL)] = 9.0
     pixels: Annotated[int, limits.Range(3, 128)] = 15
     map_radius: Annotated[int, limits.Range(0, 300)] = 0
+    map_shape: tuple[int, int] | None = None
+    knows: base.Knows = "nothing"
 
     def __post_init__(self) -> None:
         """Checks the limits."""
         limits.check(self, "view ")
+        if self.knows != "nothing" and not self.has_map:
+            raise base.UserError(f"knows = {self.knows!r} needs a map, but map_radius = 0")
+
+    @property
+    def has_map(self) -> bool:
+        """Whether a map is shown."""
+        return self.map_radius > 0 or self.map_shape is not None
 
     @property
     def obs_shape(self) -> tuple[int, int, int]:
         """Shape of what the high level gets: a patch, or a map with one channel more."""
+        if self.map_shape is not None:
+            rows, columns = self.map_shape
+            return rows + 2 * self.margin, columns + 2 * self.margin, 4
         if self.map_radius > 0:
             return 2 * self.map_radius + 1, 2 * self.map_radius + 1, 4
         return self.pixels, self.pixels, 3
@@ -65,7 +84,7 @@ class View:
     @property
     def margin(self) -> int:
         """Cells around a grid that looking at it needs."""
-        return max(1, self.map_radius)
+        return max(1, self.map_radius) if self.map_shape is None else WHOLE_MARGIN
 
     @property
     def pitch(self) -> float:
@@ -83,8 +102,11 @@ class View:
         return -(-self.pixels // _WORD)
 
     def covering(self, rows: int, columns: int) -> "View":
-        """Returns this view with a map of a whole maze, wherever in it the robot is."""
-        return dataclasses.replace(self, map_radius=max(rows, columns))
+        """Returns this view with a map of whole mazes of up to so many rows and columns.
+
+        Such a map has up to a quarter of the cells that one around the robot would need.
+        """
+        return dataclasses.replace(self, map_radius=0, map_shape=(rows, columns))
 
     def offsets(self) -> np.ndarray:
         """Returns the pixel centres' distances from the torso, in units, ascending; [P] float32."""
@@ -196,21 +218,25 @@ def in_sight(
 
 
 def draw_map(
-    codes: UInt8[Array, "n n"], seen: Bool[Array, "n n"], visited: Bool[Array, "9"]
-) -> Bool[Array, "n n 4"]:
-    """Draws the map: one pixel per cell, the robot's cell in the middle, north up.
+    codes: UInt8[Array, "n m"],
+    seen: Bool[Array, "n m"],
+    visited: Bool[Array, "9"],
+    robot_ij: Int[Array, "2"],
+) -> Bool[Array, "n m 4"]:
+    """Draws the map: one pixel per cell, north up.
 
     Args:
       codes: codes (see `mazes.maze.codes`) of the cells.
-      seen: cells that have been in sight.
+      seen: cells that have been in sight, or are known.
       visited: goals that have been paid; they are no longer drawn.
+      robot_ij: row and column of the robot's cell on the map.
 
     Returns:
       Channels wall, unvisited goal, robot, and what hasn't been seen.
     """
     goal = seen & _is_unvisited(codes, visited)
-    robot = np.zeros(codes.shape, bool)
-    robot[codes.shape[0] // 2, codes.shape[1] // 2] = True
+    i, j = (jnp.arange(size) for size in codes.shape)
+    robot = (i == robot_ij[0])[:, None] & (j == robot_ij[1])[None]
     return jnp.stack([seen & (codes == maze_lib.WALL), goal, robot, ~seen], -1)
 
 

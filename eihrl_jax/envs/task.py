@@ -8,6 +8,7 @@ Mazes are prepared once (`prepare`) so that a decision costs a few look-ups what
 episode holds the number of its maze and its open door instead of a copy of the maze.
 """
 
+from collections.abc import Sequence
 from typing import cast
 
 import jax
@@ -224,11 +225,12 @@ def code_at(table: MazeTable, nav: Navigation, xy: Float[Array, "*k 2"]) -> UInt
 
 def look(table: MazeTable, nav: Navigation, xy: Float[Array, "2"], view: raster.View) -> Navigation:
     """Adds to the map, where the view has one, what is in sight at `xy`."""
-    if view.map_radius == 0:
+    if not view.has_map:
         return nav
     _, rows, columns = table.codes.shape
     here = raster.in_sight((rows, columns), table.margin, xy, view)
-    return nav.replace(seen=here if nav.seen is None else nav.seen | here)
+    before = _known(table, nav, view.knows) if nav.seen is None else nav.seen
+    return nav.replace(seen=before | here)
 
 
 def observe(
@@ -239,8 +241,8 @@ def observe(
     view: raster.View,
 ) -> raster.Picture:
     """Draws what the high level sees, see `raster.draw` and `raster.draw_map`."""
-    if view.map_radius > 0:
-        return raster.draw_map(*_around(table, nav, xy, view.map_radius), nav.visited)
+    if view.has_map:
+        return _map(table, nav, xy, view)
     codes = _codes(table, nav, *raster.window(xy, view))
     return raster.draw(codes, xy, nav.visited, silhouette, view)
 
@@ -276,18 +278,42 @@ def _codes(
     return jnp.where(is_door, jnp.uint8(1), codes)
 
 
-def _around(
-    table: MazeTable, nav: Navigation, xy: Float[Array, "2"], radius: int
-) -> tuple[UInt8[Array, "n n"], Bool[Array, "n n"]]:
-    """Returns the codes of the cells around the torso's, and which of them have been seen."""
-    size, span = 2 * radius + 1, jnp.arange(-radius, radius + 1)
-    i, j = maze_lib.cell_ij(xy)
-    # The margin is as wide as the map, so that the slice stays inside the padded grid.
-    corner = i + table.margin - radius, j + table.margin - radius
-    codes = jax.lax.dynamic_slice(table.codes, (nav.maze, *corner), (1, size, size))[0]
-    is_door = (i + span == nav.door_ij[0])[:, None] & (j + span == nav.door_ij[1])[None]
-    seen = jax.lax.dynamic_slice(cast(Array, nav.seen), corner, (size, size))
-    return jnp.where(is_door, jnp.uint8(1), codes), seen
+def _known(table: MazeTable, nav: Navigation, knows: base.Knows) -> Bool[Array, "H W"]:
+    """Returns which cells of the padded grid are on the map before anything has been seen."""
+    if knows == "map":
+        return jnp.ones(table.codes.shape[1:], bool)
+    if knows == "goal":
+        codes = _codes_in(table, nav, (jnp.int32(0), jnp.int32(0)), table.codes.shape[1:])
+        return (codes > 0) & (codes < maze_lib.WALL)
+    return jnp.zeros(table.codes.shape[1:], bool)
+
+
+def _map(
+    table: MazeTable, nav: Navigation, xy: Float[Array, "2"], view: raster.View
+) -> raster.Picture:
+    """Draws the map of a whole maze with its margin, or of the cells around the robot's."""
+    *shape, _ = view.obs_shape
+    robot_ij = maze_lib.cell_ij(xy) + table.margin
+    # The margin is as wide as a map reaches, so that the slice stays inside the padded grid.
+    corner = robot_ij - view.map_radius if view.map_shape is None else jnp.zeros(2, jnp.int32)
+    codes = _codes_in(table, nav, (corner[0], corner[1]), shape)
+    seen = jax.lax.dynamic_slice(cast(Array, nav.seen), (corner[0], corner[1]), shape)
+    return raster.draw_map(codes, seen, nav.visited, robot_ij - corner)
+
+
+def _codes_in(
+    table: MazeTable,
+    nav: Navigation,
+    corner: tuple[Int[Array, ""], Int[Array, ""]],
+    shape: Sequence[int],
+) -> UInt8[Array, "n m"]:
+    """Returns the codes of a rectangle of the padded grid, the open door goal 1."""
+    codes = jax.lax.dynamic_slice(table.codes, (nav.maze, *corner), (1, *shape))[0]
+    is_row, is_column = (
+        jnp.arange(size) + first == place + table.margin
+        for size, first, place in zip(shape, corner, nav.door_ij, strict=True)
+    )
+    return jnp.where(is_row[:, None] & is_column[None], jnp.uint8(1), codes)
 
 
 def _of(column: Array, maze: Int[Array, ""]) -> Array:

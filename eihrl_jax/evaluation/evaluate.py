@@ -134,7 +134,9 @@ def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> li
     if whole and "full" not in options.movement:
         raise base.UserError(f"{whole[0]} is a baseline, which walks: it needs --movement full")
     highs = [
-        loading.load_high(name, greedy=options.greedy) for name in options.high if name not in whole
+        loading.load_high(name, greedy=options.greedy, knows=options.knows)
+        for name in options.high
+        if name not in whole
     ]
 
     prepared = []

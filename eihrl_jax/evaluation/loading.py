@@ -88,16 +88,17 @@ class RecordableOracle:
         )
 
 
-def load_high(name: str, *, greedy: bool = False) -> HighLevel:
+def load_high(name: str, *, greedy: bool = False, knows: base.Knows | None = None) -> HighLevel:
     """Loads a high level.
 
     Args:
       name: run folder, policy folder or shipped name; "uniform" for uniform directions; "frontier"
-        for the nearest cell that hasn't been seen.
+        for the nearest cell that hasn't been seen; "shortest" for the shortest way to a goal.
       greedy: take the most likely direction instead of a sample.
+      knows: what is on its map from the start; None: as in its training.
 
     Raises:
-      base.UserError: there is none, or it is damaged.
+      base.UserError: there is none, it is damaged, or it has no map to show what it is to know.
 
     >>> high = load_high("best-random-0")
     >>> picture = jnp.zeros(high.view.obs_shape, bool)
@@ -107,10 +108,11 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
         policy = jax.tree_util.Partial(_uniform_direction)
         return HighLevel(evaluate_config.UNIFORM, policy, raster.View())
 
-    if name == evaluate_config.FRONTIER:
+    if name in (evaluate_config.FRONTIER, evaluate_config.SHORTEST):
         policy = jax.tree_util.Partial(_towards_the_unseen)
         # Five cells a side are in sight, as of preset `best`.
-        view = raster.View(extent=15.0, pixels=25, map_radius=8)
+        known = "map" if name == evaluate_config.SHORTEST else knows or "nothing"
+        view = raster.View(extent=15.0, pixels=25, map_radius=8, knows=known)
         return HighLevel(name, policy, view, anchored=True, takes_any_map=True)
 
     path = policies.find(name, "high")
@@ -118,6 +120,8 @@ def load_high(name: str, *, greedy: bool = False) -> HighLevel:
 
     # The folder says what to build; shapes are then compared, so that a damaged one is named.
     view = raster.View(**policies.entry(meta, "view", path))
+    if knows is not None:
+        view = dataclasses.replace(view, knows=knows)
     sizes = json.dumps(policies.entry(meta, "network", path))
     network = actor_critic.make(codec.from_json(high_config.Network, sizes, source=str(path)))
     obs = jnp.zeros(view.obs_shape, bool)

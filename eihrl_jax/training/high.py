@@ -181,7 +181,9 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
       base.UserError: the maze or the robot is unknown, or numbers don't fit together.
     """
     robot = robots.load(task.robot)
-    view = raster.View(extent=task.extent, pixels=task.pixels, map_radius=task.map_radius)
+    view = raster.View(
+        extent=task.extent, pixels=task.pixels, map_radius=task.map_radius, knows=task.knows
+    )
     gait = subgoals.gait(robot, task.measured, task.step, task.sigma)
     shown = gait.bank.replace(qpos=gait.bank.qpos[: task.num_postures])
 

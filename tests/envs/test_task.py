@@ -1,9 +1,11 @@
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import mazes
+from eihrl_jax import base, mazes
 from eihrl_jax.envs import raster, task
 from eihrl_jax.mazes import maze as maze_lib
 from tests.envs import pictures
@@ -253,3 +255,32 @@ def test_a_map_of_several_mazes_is_that_of_the_episode_s_maze():
                 nav = look(some, at(some, maze=jnp.int32(number)), centre(*ij), MAP)
                 charts.append(observe(some, nav, centre(*ij), silhouette, MAP))
             np.testing.assert_array_equal(*charts)
+
+
+@pytest.mark.parametrize("knows", ["nothing", "goal", "map"])
+def test_the_map_of_a_whole_maze_holds_that_around_the_robot_and_what_is_known(knows):
+    maze, silhouette = mazes.load("random"), jnp.zeros((15, 1), jnp.uint32)
+    around = dataclasses.replace(MAP, knows=knows)
+    whole = around.covering(9, 9)
+    charts = []
+    for view in (around, whole):
+        table = task.prepare(maze, view.margin)
+        nav = at(table, door_ij=jnp.array([1, 8]))
+        for ij in ((4, 5), (4, 4)):
+            nav = look(table, nav, centre(*ij), view)
+        charts.append(np.asarray(observe(table, nav, centre(4, 4), silhouette, view)))
+        assert charts[-1].shape == view.obs_shape
+
+    # Eight cells beyond the maze on each side, so the robot's is (12, 12).
+    first, last = 4 + 8 - 3, 4 + 8 + 3
+    np.testing.assert_array_equal(charts[0], charts[1][first : last + 1, first : last + 1])
+    wall, goal, robot, unseen = np.moveaxis(charts[1], -1, 0)
+    assert np.argwhere(robot).tolist() == [[12, 12]]
+    assert np.argwhere(goal).tolist() == ([] if knows == "nothing" else [[9, 16]])
+    assert unseen.sum() == {"nothing": 25 * 25 - 12, "goal": 25 * 25 - 13, "map": 0}[knows]
+    assert wall.any() == (knows == "map")
+
+
+def test_what_is_known_needs_a_map():
+    with pytest.raises(base.UserError, match="knows = 'goal' needs a map, but map_radius = 0"):
+        raster.View(knows="goal")

@@ -45,7 +45,7 @@ def test_its_map_is_as_large_as_the_largest_maze(folder):
     high = loading.load_high(str(folder))
     assert high.view.map_radius == 2 and high.anchored
     stacked = mazes.stack([mazes.load("u"), mazes.parse(SNAKE)])
-    assert high.view_in(stacked).map_radius == 21
+    assert high.view_in(stacked).obs_shape == (9 + 16, 21 + 16, 4)
     patch = loading.load_high("uniform")
     assert patch.view_in(stacked) == patch.view and not patch.anchored
 
@@ -59,6 +59,17 @@ def run(high, maze, num_episodes=4):
     plan = rollouts.Plan(mazes={"maze": maze}, seeds=(0,), num_episodes=num_episodes)
     with progress.Progress("maze", plan.num_decisions) as bar:
         return rollouts.Runner(env, plan).run(high.policy, bar)["maze"].episodes
+
+
+def test_who_knows_the_map_goes_the_shortest_way(folder):
+    maze = mazes.parse(SNAKE)
+    for high in (
+        loading.load_high("shortest"),
+        loading.load_high(str(folder), greedy=True, knows="map"),
+    ):
+        episodes = run(high, maze)
+        assert high.view_in(mazes.stack([maze])).knows == "map"
+        np.testing.assert_array_equal(episodes.decisions, paths.longest_tour(maze))
 
 
 @pytest.mark.parametrize("name", ["search", "frontier"])

@@ -44,7 +44,8 @@ def test_run_folder_has_metrics_and_a_policy(finished):
     assert table["num_decisions"] == ["192.0", "384.0", "576.0"]
     assert table["eval/success"][0] == "" and 0.0 <= float(table["eval/success"][2]) <= 1.0
     params, meta = policies.load(policies.find(finished, "high"), kind="high")
-    assert meta["view"] == {"extent": 9.0, "pixels": 15, "map_radius": 0}
+    view = {"extent": 9.0, "pixels": 15, "map_radius": 0, "map_shape": None, "knows": "nothing"}
+    assert meta["view"] == view
     assert meta["network"] == json.loads(codec.to_json(tiny(finished).network))
     assert meta["num_updates"] == 6 and meta["num_decisions"] == 576
     assert params["params"]["logits"]["kernel"].shape == (4, 4)
