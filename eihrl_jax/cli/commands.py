@@ -74,8 +74,9 @@ def measure_low() -> Command:
     from eihrl_jax.reporting import measurements
 
     def main(options: measure_config.MeasureConfig) -> None:
-        statistics = measurements.measure(options)
-        tables.show([tables.of_subgoals(statistics, options.robot)])
+        measured = measurements.measure(options)
+        of_subgoals = tables.of_subgoals(measured.statistics, options.robot)
+        tables.show([of_subgoals, tables.of_drift(measured.drift, options.robot)])
         print(f"written to {options.out}")
 
     return Command(main, measure_config.MeasureConfig)

@@ -115,6 +115,8 @@ class LowConfig:
         the subgoal began, "restart" just now.
       relabel_share: share of the drawn steps that are looked at so.
       num_rooms: random rooms to train in, every second one with inner walls; 0: open floor alone.
+      corridor_share: share of the random rooms that are corridors of one cell's width; there
+        directions are free and subgoals count from the middle of the robot's cell, as in a maze.
       episode_steps: control steps per episode.
       ends_at_fall: a fall ends the episode; else the robot may learn to get up again.
       low_input: how observations become the network's input.
@@ -145,6 +147,7 @@ class LowConfig:
     relabel: Relabel = "never"
     relabel_share: limits.Fraction = 1.0
     num_rooms: Annotated[int, limits.Range(0, 4096)] = 0
+    corridor_share: limits.Fraction = 0.0
     episode_steps: Annotated[int, limits.Range(1, 100_000)] = 500  # 20 subgoals of the ant
     ends_at_fall: bool = True
     low_input: LowInput = LowInput()

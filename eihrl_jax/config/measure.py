@@ -9,12 +9,14 @@ from eihrl_jax.config import checks, limits
 
 @limits.dataclass
 class MeasureConfig:
-    """Measures a low level on random subgoals, on open floor and in random rooms.
+    """Measures a low level on random subgoals, on open floor, in random rooms and in corridors.
 
     Prints and writes, per surrounding: displacement along the subgoal and sideways, the epsilon of
     the paper's Definition 3.1 as it really is, and how far its law is from the normal one that the
-    high level trains with; falls and recoveries. Draws where the subgoals ended, and records a
-    posture bank. `train_high --task.measured` takes the folder.
+    high level trains with; falls and recoveries. In corridors of one cell's width subgoals are
+    anchored and directions free, as in a maze. Also: how far from cells' centres robots are after
+    1, 10 and 100 subgoals on open floor, without and with anchors. Draws where the subgoals ended,
+    and records a posture bank. `train_high --task.measured` takes the folder.
 
     Attributes:
       robot: which robot.

@@ -9,12 +9,13 @@ from typing import TypeAlias
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import body as body_lib
-from eihrl_jax.envs import low_obs, low_reward
+from eihrl_jax.envs import low_obs, low_reward, task
+from eihrl_jax.envs import rooms as rooms_lib
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engine as engine_lib
@@ -29,7 +30,8 @@ class LocomotionState(struct.PyTreeNode):
     Attributes:
       physics: the robot's state.
       room: int32, index of the room it is in.
-      subgoal_xy: float32 [2], where the torso was when the subgoal was given, units.
+      subgoal_xy: float32 [2], from where the subgoal counts, units: where the torso was when it was
+        given, or its anchor.
       direction: int32, the subgoal.
       step: int32, control steps since the episode's start.
     """
@@ -50,7 +52,7 @@ class Locomotion:
     Observation: `low_obs.LowObs`. Action: controls [nu] in [-1, 1]. Reward: see `low_reward`.
     Terminates when the robot falls, if that ends episodes, or the simulation breaks down; truncated
     after `episode_steps` control steps. Reset: a random room and start, random yaw, noise on joints
-    and velocities.
+    and velocities. In corridors only directions that are free are given, and subgoals are anchored.
 
     Metrics, per step: `step_x` and `step_y`, the torso's movement in units; `switched` 1 where a
     subgoal has just ended, then `along` and `lateral` hold its displacement in units; `fell` 1
@@ -60,20 +62,23 @@ class Locomotion:
     def __init__(
         self,
         engine: engine_lib.Engine,
-        rooms: maze_lib.Maze,
+        rooms: rooms_lib.Rooms,
         *,
         reward_options: low_config.LowReward,
         episode_steps: int = 500,
         ends_at_fall: bool = True,
+        anchored: bool = False,
     ):
         """Builds the environment.
 
         Args:
           engine: steps the robot.
-          rooms: mazes with a leading axis M; one is drawn at each reset.
+          rooms: one is drawn at each reset.
           reward_options: the intrinsic reward.
           episode_steps: control steps per episode.
           ends_at_fall: whether a fall terminates; else the robot may get up again.
+          anchored: whether subgoals count from the middle of the robot's cell in all rooms, see
+            `task.anchor`; in corridors they always do.
         """
         self.robot = engine.robot
         self._engine = engine
@@ -81,19 +86,22 @@ class Locomotion:
         self._reward_options = reward_options
         self._episode_steps = episode_steps
         self._ends_at_fall = ends_at_fall
+        self._anchored = anchored
+        # Known before anything is compiled: without corridors nothing is computed for them.
+        self._has_corridors = bool(rooms.is_corridor.any())
 
     def reset(self, key: Key[Array, ""]) -> EnvState:
         """Draws a room, a start, a posture and a first subgoal."""
         key, room_key, start_key, pose_key, direction_key = jax.random.split(key, 5)
 
-        room = jax.random.randint(room_key, (), 0, self._rooms.wall.shape[0])
+        room = jax.random.randint(room_key, (), 0, self._rooms.is_corridor.shape[0])
         start_xy = maze_lib.draw_start(self.room(room), start_key)
         # The first subgoal begins here, with all of its steps left.
         inner = LocomotionState(
             physics=body_lib.draw_pose(self._engine, start_xy, pose_key),
             room=room,
-            subgoal_xy=start_xy,
-            direction=jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS),
+            subgoal_xy=self._origin(room, start_xy),
+            direction=self._draw_direction(room, start_xy, direction_key),
             step=jnp.int32(0),
         )
         return base.EnvState.of(
@@ -138,10 +146,11 @@ class Locomotion:
         }
 
         # Drawn in every step and mostly dropped: the random stream doesn't depend on the subgoals.
-        drawn = jax.random.randint(direction_key, (), 0, base.NUM_DIRECTIONS)
+        drawn = self._draw_direction(inner.room, after.qpos[:2], direction_key)
+        origin_xy = self._origin(inner.room, after.qpos[:2])
         inner = inner.replace(
             physics=after,
-            subgoal_xy=jnp.where(is_switch, after.qpos[:2], inner.subgoal_xy),
+            subgoal_xy=jnp.where(is_switch, origin_xy, inner.subgoal_xy),
             direction=jnp.where(is_switch, drawn, inner.direction),
             step=step,
         )
@@ -151,7 +160,32 @@ class Locomotion:
 
     def room(self, index: Int[Array, ""]) -> maze_lib.Maze:
         """Returns one of the rooms."""
-        return jax.tree.map(lambda leaf: leaf[index], self._rooms)
+        return self._rooms.one(index)
+
+    def is_corridor(self, index: Int[Array, ""]) -> Bool[Array, ""]:
+        """Returns whether a room consists of corridors."""
+        return self._rooms.is_corridor[index]
+
+    def _origin(self, room: Int[Array, ""], xy: Float[Array, "2"]) -> Float[Array, "2"]:
+        """Returns from where a subgoal counts that is given at `xy`, units."""
+        if self._anchored:
+            return task.anchor(xy)
+        if not self._has_corridors:
+            return xy
+        return jnp.where(self.is_corridor(room), task.anchor(xy), xy)
+
+    def _draw_direction(
+        self, room: Int[Array, ""], xy: Float[Array, "2"], key: Key[Array, ""]
+    ) -> Int[Array, ""]:
+        """Draws any direction; in a corridor one without a wall in the cell ahead."""
+        drawn = jax.random.randint(key, (), 0, base.NUM_DIRECTIONS)
+        if not self._has_corridors:
+            return drawn
+
+        ahead_xy = xy[None] + base.CELL * jnp.array(base.DIRECTIONS_XY, jnp.float32)
+        is_wall = jax.vmap(maze_lib.is_wall, in_axes=(None, 0))(self.room(room), ahead_xy)
+        free = jax.random.categorical(key, jnp.where(is_wall, -jnp.inf, 0.0))
+        return jnp.where(self.is_corridor(room), free, drawn).astype(jnp.int32)
 
     def _observe(self, inner: LocomotionState) -> low_obs.LowObs:
         steps_left = self.robot.steps_per_subgoal - inner.step % self.robot.steps_per_subgoal

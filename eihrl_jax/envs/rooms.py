@@ -1,53 +1,105 @@
 """Rooms in which the low level learns: no goals, only floor and walls to run into."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Int
 
 from eihrl_jax.mazes import maze as maze_lib
 
 START_JITTER = 0.2
 """Half-width in units of the start's offset; what fits into a cell starts clear of walls."""
 
+SIZE = 15
+"""Rows and columns of a room to learn in, its outer ring of wall included; an odd number."""
 
-def open_floor(size: int = 41) -> maze_lib.Maze:
-    """Returns one wide room with leading axis 1, its start in the middle, far from any wall."""
+
+class Rooms(struct.PyTreeNode):
+    """M rooms of one size.
+
+    Attributes:
+      mazes: the rooms as mazes with leading axis M; every start is a free cell.
+      is_corridor: bool [M], which of them are corridors of one cell's width, where a robot follows
+        only directions that are free and its subgoals are anchored, see `task.anchor`.
+    """
+
+    mazes: maze_lib.Maze
+    is_corridor: Bool[Array, " M"]
+
+    def one(self, index: Int[Array, ""]) -> maze_lib.Maze:
+        """Returns one of the rooms."""
+        return jax.tree.map(lambda leaf: leaf[index], self.mazes)
+
+
+def open_floor(size: int = 41) -> Rooms:
+    """Returns one wide room, its start in the middle, far from any wall."""
     start = np.zeros((size, size), bool)
     start[size // 2, size // 2] = True
-    return _stack(np.zeros((1, size, size), bool), start[None])
+    return _rooms(np.zeros((1, size, size), bool), start[None])
 
 
 def random_rooms(
-    num_rooms: int, seed: int, *, size: int = 15, wall_density: float = 0.15
-) -> maze_lib.Maze:
-    """Draws square rooms with leading axis `num_rooms`; every second one is empty.
+    num_rooms: int, seed: int, *, wall_density: float = 0.15, corridor_share: float = 0.0
+) -> Rooms:
+    """Draws square rooms; of those that are no corridors every second one is empty.
 
     Args:
       num_rooms: how many.
       seed: of the walls.
-      size: rows and columns of each, its outer ring of wall included.
       wall_density: share of the inner cells that are wall in the rooms that aren't empty.
+      corridor_share: share of the rooms that are corridors of one cell's width with turns, branches
+        and dead ends; they come last.
 
     Returns:
       The rooms; every free cell is a start.
     """
-    wall = np.random.default_rng(seed).random((num_rooms, size, size)) < wall_density
+    rng = np.random.default_rng(seed)
+    wall = rng.random((num_rooms, SIZE, SIZE)) < wall_density
     wall[::2] = False
 
     # Closed all around, or the robot would leave the grid.
     wall[:, [0, -1], :] = True
     wall[:, :, [0, -1]] = True
-    return _stack(wall, ~wall)
+
+    # Drawn after all the rest, which is the same whatever the share.
+    num_corridors = round(corridor_share * num_rooms)
+    for index in range(num_rooms - num_corridors, num_rooms):
+        wall[index] = _corridors(rng)
+    return _rooms(wall, ~wall, num_corridors)
 
 
-def _stack(wall: np.ndarray, start: np.ndarray) -> maze_lib.Maze:
-    """Returns rooms [M, R, C] as mazes without goals, doors or a time limit."""
-    zero = jnp.zeros(wall.shape[0], jnp.int32)  # episodes here have limits of their own
-    return maze_lib.Maze(
+def _corridors(rng: np.random.Generator) -> Bool[np.ndarray, "R C"]:
+    """Draws a maze without loops by a random depth-first search; returns its walls."""
+    wall = np.ones((SIZE, SIZE), bool)
+    way = [(1, 1)]
+    wall[1, 1] = False
+
+    # Cells at odd rows and columns are joined through the one between them.
+    while way:
+        i, j = way[-1]
+        sides = [(i + 2 * di, j + 2 * dj) for di, dj in ((0, 1), (0, -1), (1, 0), (-1, 0))]
+        new = [(m, n) for m, n in sides if 0 < m < SIZE and 0 < n < SIZE and wall[m, n]]
+        if not new:
+            way.pop()
+            continue
+        m, n = new[rng.integers(len(new))]
+        wall[(i + m) // 2, (j + n) // 2] = wall[m, n] = False
+        way.append((m, n))
+    return wall
+
+
+def _rooms(wall: np.ndarray, start: np.ndarray, num_corridors: int = 0) -> Rooms:
+    """Returns rooms [M, R, C], the last ones corridors, without goals, doors or a time limit."""
+    num_rooms = len(wall)
+    zero = jnp.zeros(num_rooms, jnp.int32)  # episodes here have limits of their own
+    mazes = maze_lib.Maze(
         wall=jnp.asarray(wall),
         goal=jnp.zeros(wall.shape, jnp.int32),
         start=jnp.asarray(start),
         door=jnp.zeros(wall.shape, bool),
-        start_jitter=jnp.full(wall.shape[0], START_JITTER, jnp.float32),
+        start_jitter=jnp.full(num_rooms, START_JITTER, jnp.float32),
         num_goals=zero,
         num_decisions=zero,
     )
+    return Rooms(mazes, jnp.arange(num_rooms) >= num_rooms - num_corridors)

@@ -16,8 +16,12 @@ from eihrl_jax.robots import robot as robot_lib
 FILE, POSTURES = "subgoals.json", "postures.npz"
 """Names of the files in which a measurement keeps its figures and its posture bank."""
 
-OPEN, ROOMS = "open floor", "random rooms"
-"""Surroundings in which low levels are measured."""
+OPEN, ROOMS, CORRIDORS = "open floor", "random rooms", "corridors"
+"""Surroundings in which low levels are measured; in corridors of one cell's width subgoals are
+anchored and directions free."""
+
+DRIFT = "drift"
+"""Under which name a measurement holds the `Drift` of subgoals that follow each other."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -59,6 +63,32 @@ class Statistics:
     def sigma(self) -> float:
         """Standard deviation per axis, both axes taken together, units."""
         return math.sqrt((self.along_std**2 + self.lateral_std**2) / 2.0)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Drift:
+    """Where in their cells robots are after subgoals that followed each other on open floor.
+
+    Attributes:
+      anchored: whether their subgoals were, see `task.anchor`.
+      num_subgoals: how many followed each other, in random directions.
+      num_robots: how many of the robots never fell.
+      along_mean: from the centre of the robot's own cell, along its last subgoal; mean over these
+        robots, units.
+      along_std: its standard deviation, units.
+      lateral_mean: the same to the left of the last subgoal.
+      lateral_std: its standard deviation, units.
+      in_cell: share of these robots whose cell is the one that the subgoals lead to.
+    """
+
+    anchored: bool
+    num_subgoals: int
+    num_robots: int
+    along_mean: float
+    along_std: float
+    lateral_mean: float
+    lateral_std: float
+    in_cell: float
 
 
 def load(folder: pathlib.Path) -> Statistics:

@@ -1,4 +1,4 @@
-"""Measures a low level: random subgoals on open floor and in random rooms, step by step."""
+"""Measures a low level: random subgoals on open floor, in rooms and corridors, step by step."""
 
 import dataclasses
 import math
@@ -18,6 +18,7 @@ from eihrl_jax.envs import hierarchy, locomotion, postures, rooms, subgoals, wra
 from eihrl_jax.evaluation import loading
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import rotations, tree
+from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import progress as progress_lib
@@ -26,6 +27,12 @@ SUBGOALS_PER_EPISODE = 20  # long enough that a fall's recovery is seen in its e
 NUM_ROOMS = 256
 _ROOM_SEED = 2**32
 """Added to the seed: rooms that no training, whose seeds are below, has drawn."""
+
+DRIFT_AFTER = (1, 10, 100)
+"""Numbers of subgoals after which `subgoals.Drift` is measured."""
+
+_DRIFT_SIZE = 2 * DRIFT_AFTER[-1] + 3
+"""Cells a side of the floor for it: nobody comes to its end."""
 
 _KEPT = ("switched", "along", "lateral", "fell", "broke_down")
 """Metrics of `locomotion.Locomotion` that `Steps` holds."""
@@ -42,7 +49,7 @@ class SubgoalStart(struct.PyTreeNode):
 
     Attributes:
       is_upright: the robot had not fallen.
-      is_clear: no wall was in its way.
+      is_clear: no wall was in its way; in corridors directions are free, and walls beside it.
     """
 
     is_upright: Bool[Array, ""]
@@ -84,11 +91,13 @@ class Measurement:
     Attributes:
       robot: whose it is.
       statistics: by surrounding.
+      drift: without and with anchors, after each of `DRIFT_AFTER`.
       steps: on open floor, on the host.
     """
 
     robot: robot_lib.Robot
     statistics: dict[str, subgoals.Statistics]
+    drift: list[subgoals.Drift]
     steps: Steps
 
     def postures(self, num: int) -> postures.PostureBank:
@@ -97,7 +106,7 @@ class Measurement:
 
 
 def run(options: measure_config.MeasureConfig) -> Measurement:
-    """Measures a low level on open floor and in random rooms.
+    """Measures a low level on open floor, in random rooms and in corridors.
 
     Args:
       options: whose, and how long.
@@ -110,39 +119,70 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
 
     # Open floor shows the gait alone; in rooms walls and turns disturb it as in a maze.
     engine = engines.make(robot, options.engine)
-    walled = rooms.random_rooms(NUM_ROOMS, _ROOM_SEED + options.seed)
-    floors = {subgoals.OPEN: rooms.open_floor(), subgoals.ROOMS: walled}
+    seed = _ROOM_SEED + options.seed
+    floors = {
+        subgoals.OPEN: rooms.open_floor(),
+        subgoals.ROOMS: rooms.random_rooms(NUM_ROOMS, seed),
+        subgoals.CORRIDORS: rooms.random_rooms(NUM_ROOMS, seed, corridor_share=1.0),
+    }
+
+    # Rounded up: every robot follows the same whole number of subgoals.
+    k, num_envs = robot.steps_per_subgoal, options.num_envs
+    num_steps = k * math.ceil(options.num_subgoals / num_envs)
+    num_drifting = math.ceil(options.num_subgoals / DRIFT_AFTER[-1])
 
     measured: dict[str, Steps] = {}
-    with progress_lib.Progress(f"{robot.name}, subgoals", len(floors), unit="surroundings") as bar:
+    drift: list[subgoals.Drift] = []
+    with progress_lib.Progress(f"{robot.name}, subgoals", len(floors) + 2, unit="parts") as bar:
         for index, (name, floor) in enumerate(floors.items()):
-            env = locomotion.Locomotion(
-                engine,
-                floor,
-                reward_options=low_config.LowReward(),  # of no account: nothing is learned here
-                episode_steps=SUBGOALS_PER_EPISODE * robot.steps_per_subgoal,
-                ends_at_fall=False,  # so that recoveries can be counted
-            )
-            measured[name] = jax.device_get(_follow(env, policy, options, index))
+            env = _env(engine, floor, SUBGOALS_PER_EPISODE)
+            key = _key(options, index)
+            measured[name] = jax.device_get(_follow(env, policy, num_envs, num_steps, key))
             bar.update(index + 1, {})
 
+        # In one episode: the robots that are compared after 1, 10 and 100 subgoals are the same.
+        for anchored in (False, True):
+            floor = rooms.open_floor(_DRIFT_SIZE)
+            env = _env(engine, floor, DRIFT_AFTER[-1] + 1, anchored=anchored)
+            key, length = _key(options, len(floors)), k * DRIFT_AFTER[-1] + 1
+            steps = jax.device_get(_follow(env, policy, num_drifting, length, key))
+            drift += [drift_after(steps, num, robot, anchored=anchored) for num in DRIFT_AFTER]
+            bar.update(len(floors) + 1 + anchored, {})
+
     statistics = {name: summarise(steps, robot, options.sigma) for name, steps in measured.items()}
-    return Measurement(robot, statistics, measured[subgoals.OPEN])
+    return Measurement(robot, statistics, drift, measured[subgoals.OPEN])
+
+
+def _env(
+    engine: engine_lib.Engine, floor: rooms.Rooms, num_subgoals: int, *, anchored: bool = False
+) -> locomotion.Locomotion:
+    """Returns the task with episodes of `num_subgoals` subgoals."""
+    return locomotion.Locomotion(
+        engine,
+        floor,
+        reward_options=low_config.LowReward(),  # of no account: nothing is learned here
+        episode_steps=num_subgoals * engine.robot.steps_per_subgoal,
+        ends_at_fall=False,  # so that recoveries can be counted
+        anchored=anchored,
+    )
+
+
+def _key(options: measure_config.MeasureConfig, stream: int) -> Key[Array, ""]:
+    """Returns a key of its own for each surrounding: none depends on another's being measured."""
+    return jax.random.fold_in(jax.random.key(options.seed), stream)
 
 
 def _follow(
     env: locomotion.Locomotion,
     policy: hierarchy.LowPolicy,
-    options: measure_config.MeasureConfig,
-    stream: int,
+    num_envs: int,
+    num_steps: int,
+    key: Key[Array, ""],
 ) -> Steps:
-    """Lets N robots follow random subgoals, each at least its share of `num_subgoals`."""
-    # Rounded up: every robot follows the same whole number of subgoals.
+    """Lets robots follow random subgoals for `num_steps` control steps."""
     k = env.robot.steps_per_subgoal
-    num_steps = k * math.ceil(options.num_subgoals / options.num_envs)
     resetting = wrappers.AutoReset(env)
-    # A stream of its own for each surrounding: neither depends on the other's being measured.
-    reset_key, act_key = jax.random.split(jax.random.fold_in(jax.random.key(options.seed), stream))
+    reset_key, act_key = jax.random.split(key)
 
     def advance(
         carry: tuple[locomotion.EnvState, SubgoalStart], _: None
@@ -170,11 +210,11 @@ def _follow(
     def follow(keys: Key[Array, " N"]) -> Steps:
         states = jax.vmap(resetting.reset)(keys)
         # Never read: an episode's first step begins a subgoal.
-        nothing = jnp.zeros(options.num_envs, bool)
+        nothing = jnp.zeros(num_envs, bool)
         start = SubgoalStart(is_upright=nothing, is_clear=nothing)
         return jax.lax.scan(jax.vmap(advance), (states, start), length=num_steps)[1]
 
-    return follow(jax.random.split(reset_key, options.num_envs))
+    return follow(jax.random.split(reset_key, num_envs))
 
 
 def _is_clear(env: locomotion.Locomotion, state: locomotion.LocomotionState) -> Bool[Array, ""]:
@@ -187,7 +227,8 @@ def _is_clear(env: locomotion.Locomotion, state: locomotion.LocomotionState) -> 
     grid = jnp.stack(jnp.meshgrid(ahead, aside), -1).reshape(-1, 2)
     way = jax.vmap(rotations.to_world_frame, in_axes=(0, None))(grid, state.direction)
     is_wall = jax.vmap(maze_lib.is_wall, in_axes=(None, 0))
-    return ~is_wall(room, state.physics.qpos[None, :2] + way).any()
+    is_clear = ~is_wall(room, state.physics.qpos[None, :2] + way).any()
+    return is_clear | env.is_corridor(state.room)
 
 
 def end_points(steps: Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
@@ -202,6 +243,52 @@ def end_points(steps: Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
         to_world = np.array([[x, y], [-y, x]])  # rows: where `along` and `lateral` point
         ends[index] = along_lateral[direction == index] @ to_world
     return ends
+
+
+def drift_after(
+    steps: Steps, num_subgoals: int, robot: robot_lib.Robot, *, anchored: bool
+) -> subgoals.Drift:
+    """Computes where robots ended after some subgoals, see `subgoals.Drift`.
+
+    Args:
+      steps: on the host, of one episode, more than `num_subgoals` subgoals long.
+      num_subgoals: after how many.
+      robot: whose they are.
+      anchored: whether the subgoals were.
+
+    Returns:
+      The figures, NaN where every robot fell.
+    """
+    k = robot.steps_per_subgoal
+    end = k * num_subgoals  # positions are those before a step
+    direction = np.asarray(steps.direction)[:end:k]
+    toward = np.array(base.DIRECTIONS_XY, np.float64)[direction]  # [S, N, 2]
+
+    # Whole cells from the origin: where it stood first, and where it is now.
+    xy = np.asarray(steps.qpos)[[0, end], :, :2].astype(np.float64) / base.CELL
+    cell = np.floor(xy)
+    is_in_cell = (cell[1] == cell[0] + toward.sum(0)).all(1)
+    off = base.CELL * (xy[1] - cell[1] - 0.5)
+
+    # In the frame of the last subgoal, whose left is a quarter turn further.
+    last = toward[-1]
+    along = (off * last).sum(1)
+    lateral = (off * np.stack([-last[:, 1], last[:, 0]], 1)).sum(1)
+
+    stood = ~np.asarray(steps.was_down)[: end + 1].any(0)
+    values = [column[stood] for column in (along, lateral, is_in_cell)]
+    along_mean, lateral_mean, in_cell = (float(x.mean()) if len(x) else math.nan for x in values)
+    along_std, lateral_std = (float(x.std()) if len(x) else math.nan for x in values[:2])
+    return subgoals.Drift(
+        anchored=anchored,
+        num_subgoals=num_subgoals,
+        num_robots=int(stood.sum()),
+        along_mean=along_mean,
+        along_std=along_std,
+        lateral_mean=lateral_mean,
+        lateral_std=lateral_std,
+        in_cell=in_cell,
+    )
 
 
 def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.Statistics:

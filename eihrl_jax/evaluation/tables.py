@@ -249,5 +249,22 @@ def of_subgoals(measured: Mapping[str, subgoals.Statistics], robot: str) -> rich
     return _shown(Table("", [robot, *measured], body))
 
 
+def of_drift(drift: Sequence[subgoals.Drift], robot: str) -> rich.table.Table:
+    """Returns the table of a robot's drift from the centres of cells, for a `rich` console."""
+    head = [robot, "subgoals", "robots", "off along, units", "off sideways", "in the right cell, %"]
+    body = [
+        [
+            "anchored" if d.anchored else "not anchored",
+            str(d.num_subgoals),
+            str(d.num_robots),
+            f"{d.along_mean:.2f} ± {d.along_std:.2f}",
+            f"{d.lateral_mean:.2f} ± {d.lateral_std:.2f}",
+            _or_dash(100 * d.in_cell, ".0f"),
+        ]
+        for d in drift
+    ]
+    return _shown(Table("in their cells, from the centre", head, body))
+
+
 def _or_dash(value: float, form: str) -> str:
     return "-" if math.isnan(value) else format(value, form)

@@ -9,14 +9,14 @@ from eihrl_jax.evaluation import measure as measure_lib
 from eihrl_jax.runs import folders, versions
 
 
-def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statistics]:
+def measure(options: measure_config.MeasureConfig) -> measure_lib.Measurement:
     """Measures a low level and fills its folder.
 
     Args:
       options: whose, and how long.
 
     Returns:
-      The statistics by surrounding.
+      The figures.
 
     Raises:
       base.UserError: the folder isn't free; robot or policy is unknown or doesn't fit; the robot
@@ -25,7 +25,7 @@ def measure(options: measure_config.MeasureConfig) -> dict[str, subgoals.Statist
     with folders.reserved(options.out):
         measured = measure_lib.run(options)
         _write(measured, options)
-    return measured.statistics
+    return measured
 
 
 def _write(measured: measure_lib.Measurement, options: measure_config.MeasureConfig) -> None:
@@ -33,8 +33,9 @@ def _write(measured: measure_lib.Measurement, options: measure_config.MeasureCon
     robot = measured.robot
     # Surroundings at the top level, where `subgoals.load` looks for them.
     document = {name: vars(statistics) for name, statistics in measured.statistics.items()}
+    drift = {subgoals.DRIFT: [vars(drift) for drift in measured.drift]}
     about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
-    text = json.dumps(document | about | {"versions": versions.describe()}, indent=2)
+    text = json.dumps(document | drift | about | {"versions": versions.describe()}, indent=2)
     (options.out / subgoals.FILE).write_text(text + "\n")
 
     # Of open floor: among walls the ends say as much about the rooms.

@@ -55,7 +55,9 @@ class LowTrainer:
         # Statistics are always taken on open floor, whatever the robot learned among.
         floor = rooms.open_floor()
         if config.num_rooms:
-            floor = rooms.random_rooms(config.num_rooms, config.seed)
+            floor = rooms.random_rooms(
+                config.num_rooms, config.seed, corridor_share=config.corridor_share
+            )
         make_env = functools.partial(
             locomotion.Locomotion,
             engine,

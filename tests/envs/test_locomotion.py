@@ -13,6 +13,8 @@ from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import experience, locomotion, low_obs, low_reward, rooms, wrappers
+from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.mazes import paths
 from eihrl_jax.ops import rotations
 from eihrl_jax.physics import engines
 
@@ -240,9 +242,45 @@ def test_time_limit_truncates_and_episodes_differ(point_engine):
 
 def test_rooms_are_half_empty_and_start_where_it_is_free():
     drawn = rooms.random_rooms(8, seed=3)
-    inner = np.asarray(drawn.wall)[:, 1:-1, 1:-1]
+    inner = np.asarray(drawn.mazes.wall)[:, 1:-1, 1:-1]
     assert not inner[::2].any() and inner[1::2].any((1, 2)).all()
-    assert not (np.asarray(drawn.start) & np.asarray(drawn.wall)).any()
+    assert not (np.asarray(drawn.mazes.start) & np.asarray(drawn.mazes.wall)).any()
+
+
+def test_corridors_are_one_cell_wide_and_lead_everywhere():
+    drawn = rooms.random_rooms(8, seed=3, corridor_share=0.25)
+    assert np.asarray(drawn.is_corridor).tolist() == [False] * 6 + [True] * 2
+    for wall in np.asarray(drawn.mazes.wall)[-2:]:
+        free = ~wall
+        square = free[:-1, :-1] & free[1:, :-1] & free[:-1, 1:] & free[1:, 1:]
+        assert not square.any() and free[1::2, 1::2].all()
+        assert paths.largest_part(free).sum() == free.sum()
+    plain = rooms.random_rooms(8, seed=3).mazes.wall
+    np.testing.assert_array_equal(drawn.mazes.wall[:6], plain[:6])
+
+
+def test_in_corridors_directions_are_free_and_subgoals_anchored(point_engine):
+    """A point that is carried from subgoal to subgoal is always sent where there is no wall."""
+    corridors = rooms.random_rooms(4, seed=1, corridor_share=1.0)
+    reward = low_config.LowReward()
+    env = locomotion.Locomotion(point_engine, corridors, reward_options=reward)
+
+    def walk(state, _):
+        """Puts the point where its subgoal leads, a little off, and takes the last step there."""
+        inner, k = state.inner, POINT.steps_per_subgoal
+        centre = maze_lib.cell_xy(maze_lib.cell_ij(inner.physics.qpos))
+        toward = jnp.array(base.DIRECTIONS_XY, jnp.float32)[inner.direction]
+        ahead = centre + base.CELL * toward
+        is_wall = maze_lib.is_wall(env.room(inner.room), ahead)
+        anchor_off = jnp.abs(inner.subgoal_xy - centre).max()
+        physics = inner.physics.replace(qpos=ahead + 0.4, qvel=jnp.zeros(2))
+        moved = state.replace(inner=inner.replace(physics=physics, step=jnp.int32(k - 1)))
+        return env.step(moved, jnp.zeros(2)), (is_wall, anchor_off, inner.direction)
+
+    walks = jax.jit(lambda state: jax.lax.scan(walk, state, length=200)[1])
+    is_wall, anchor_off, direction = walks(env.reset(jax.random.key(0)))
+    assert not is_wall.any() and float(anchor_off.max()) < 1e-3
+    assert len(set(direction.tolist())) == 4
 
 
 def test_turning_the_world_turns_the_physics(ant_engine):

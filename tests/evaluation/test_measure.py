@@ -95,6 +95,21 @@ def test_end_points_are_in_the_worlds_frame():
         np.testing.assert_allclose(found[index], expected[None])
 
 
+def test_drift_is_from_the_centre_of_ones_own_cell_in_the_subgoals_frame():
+    """Two subgoals to the north; the second robot comes only one cell far, the third falls."""
+    direction = np.full((5, 3), 2, np.int32)
+    qpos = np.zeros((5, 3, 15), np.float32)
+    qpos[0, :, :2] = 1.5
+    qpos[4, :, :2] = [[1.6, 7.3], [1.5, 4.5], [1.5, 7.5]]
+    was_down = np.zeros((5, 3), bool)
+    was_down[3, 2] = True
+    steps = _steps(5, 3, direction=direction, qpos=qpos, was_down=was_down)
+    found = measure.drift_after(steps, 2, ANT, anchored=True)
+    assert (found.num_robots, found.in_cell, found.anchored) == (2, 0.5, True)
+    assert (found.along_mean, found.lateral_mean) == pytest.approx((-0.1, -0.05))
+    assert (found.along_std, found.lateral_std) == pytest.approx((0.1, 0.05))
+
+
 @pytest.mark.parametrize(("shift", "sigma", "expected"), [(0.0, 0.3, 0.0), (-0.7, 0.3, 0.7)])
 def test_distance_to_the_normal_law(shift, sigma, expected):
     sample = np.random.default_rng(0).normal(shift, 0.3, 40_000)
@@ -111,13 +126,18 @@ def test_distance_of_normal_laws_of_other_widths():
 def test_measuring_the_shipped_ant(tmp_path):
     out = tmp_path / "out"
     options = measure_config.MeasureConfig(num_subgoals=100, num_envs=10, num_postures=50, out=out)
-    found = measurements.measure(options)
+    measured = measurements.measure(options)
+    found = measured.statistics
     np.testing.assert_equal(vars(subgoals.load(out)), vars(found[subgoals.OPEN]))
     assert found[subgoals.OPEN].along_mean > 2.0 and found[subgoals.OPEN].blocked == 0.0
     assert 0.0 < found[subgoals.ROOMS].blocked < 1.0
     assert postures.load(out / "postures.npz", robots.load("ant")).qpos.shape == (50, 15)
     assert (out / "subgoals.png").stat().st_size > 10_000
+    assert found[subgoals.CORRIDORS].blocked == 0.0
     assert tables.of_subgoals(found, "ant").row_count == 12
+    assert tables.of_drift(measured.drift, "ant").row_count == 6
+    written = json.loads((out / subgoals.FILE).read_text())[subgoals.DRIFT]
+    assert [row["num_subgoals"] for row in written] == [1, 10, 100] * 2
     with pytest.raises(base.UserError, match="not empty"):
         measurements.measure(options)
 
