@@ -175,7 +175,7 @@ class OracleMaze:
             step=gait.step,
             sigma=gait.sigma,
             num_substeps=num_substeps,
-            body_radius=robot.body_radius,
+            body_radius=robot.body_radius * robot.units_per_metre,
             anchored=anchored,
         )
         # Drawn once: a decision looks one up, and needs no kinematics.

@@ -127,7 +127,7 @@ class PhysicsMaze:
         self._reward: base.Reward = reward
         self._engine = engine
         # The silhouette is made of the posture at every decision: no bank could hold them all.
-        self._capsules = kinematics.capsules(engine.model)
+        self._capsules = kinematics.capsules(engine.model, engine.robot.units_per_metre)
 
     @classmethod
     def of_robot(

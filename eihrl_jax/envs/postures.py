@@ -133,7 +133,7 @@ def footprints(
       bank: N postures, drawn with the heading they were recorded with.
       view: extent and resolution of the pictures.
     """
-    to_capsules = kinematics.capsules(scene.build(robot))
+    to_capsules = kinematics.capsules(scene.build(robot), robot.units_per_metre)
 
     def draw(qpos: Float[Array, " nq"]) -> Bool[Array, "P P"]:
         return raster.footprint(to_capsules(qpos), qpos[:2], view)

@@ -219,7 +219,7 @@ def _follow(
 
 def _is_clear(env: locomotion.Locomotion, state: locomotion.LocomotionState) -> Bool[Array, ""]:
     """Returns whether a robot that goes one cell from here could touch no wall."""
-    room, reach = env.room(state.room), env.robot.reach
+    room, reach = env.room(state.room), env.robot.reach * env.robot.units_per_metre
 
     # Points of the way, closer to each other than a wall is wide.
     ahead = jnp.linspace(-reach, base.CELL + reach, 5)

@@ -14,8 +14,9 @@ class PhysicsState(struct.PyTreeNode):
     """All that a simulation needs to go on. nq, nv: MuJoCo's sizes of the robot.
 
     Attributes:
-      qpos: float32 [nq], generalised positions; units, radians, unit quaternion.
-      qvel: float32 [nv], generalised velocities per second.
+      qpos: float32 [nq], generalised positions: x and y in units of mazes, all else as in the
+        model, in metres, radians, unit quaternion.
+      qvel: float32 [nv], the model's generalised velocities, metres or radians per second.
       qacc_warmstart: float32 [nv], where the constraint solver starts from.
     """
 

@@ -5,13 +5,13 @@ from eihrl_jax.physics import engine, mujoco_engine
 from eihrl_jax.robots import robot as robot_lib
 
 
-def make(robot: robot_lib.Robot, name: str = "mujoco", cell: float = base.CELL) -> engine.Engine:
+def make(robot: robot_lib.Robot, name: str = "mujoco", cell: float | None = None) -> engine.Engine:
     """Returns an engine for a robot.
 
     Args:
       robot: the robot to drive.
       name: "mujoco" for the C engine on the processor's cores, "mjx" for JAX.
-      cell: side of a wall's box, units.
+      cell: side of a wall's box, metres; None: the robot's cell.
 
     Raises:
       base.UserError: the engine is unknown.

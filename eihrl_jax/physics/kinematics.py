@@ -5,21 +5,50 @@ runs in any batch, and takes geoms that MJX's collision functions don't know.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 Capsules = tuple[Float[Array, "G 3"], Float[Array, "G 3"], Float[Array, " G"]]
 """Start points, end points and radii of G capsules, in units."""
 
 
-def capsules(model: mujoco.MjModel) -> Callable[[Float[Array, " nq"]], Capsules]:
+class LocalCapsules(NamedTuple):
+    """The robot's geoms as capsules in the frames of their bodies, in metres.
+
+    Attributes:
+      geom: int64 [G], ids of the geoms.
+      start: float64 [G, 3], start points.
+      end: float64 [G, 3], end points.
+      radius: float64 [G].
+    """
+
+    geom: Int[np.ndarray, " G"]
+    start: Float[np.ndarray, "G 3"]
+    end: Float[np.ndarray, "G 3"]
+    radius: Float[np.ndarray, " G"]
+
+
+def local_capsules(model: mujoco.MjModel) -> LocalCapsules:
+    """Returns the robot's geoms as capsules, floor and mocap walls left out."""
+    is_own = (model.geom_bodyid > 0) & (model.body_mocapid[model.geom_bodyid] < 0)
+    geom = np.flatnonzero(is_own)
+    parts = [_local_capsule(model, index) for index in geom.tolist()]
+    start, end, radius = (np.array(part) for part in zip(*parts, strict=True))
+    return LocalCapsules(geom, start, end, radius)
+
+
+def capsules(
+    model: mujoco.MjModel, units_per_metre: float = 1.0
+) -> Callable[[Float[Array, " nq"]], Capsules]:
     """Returns the function from a robot's `qpos` to its geoms as capsules.
 
     Args:
       model: the robot alone, or with floor and mocap walls, which are left out.
+      units_per_metre: of the robot, see `robots.robot.Robot`; x and y of a root are in units.
 
     Returns:
       A pure function of `qpos` [nq] that returns start points [G, 3], end points [G, 3] and radii
@@ -27,21 +56,19 @@ def capsules(model: mujoco.MjModel) -> Callable[[Float[Array, " nq"]], Capsules]
       `vmap`. A sphere is a capsule of length zero; other shapes are inside their capsule.
     """
     body_ids = [i for i in range(1, model.nbody) if model.body_mocapid[i] < 0]
-    geom_ids = [i for i in range(model.ngeom) if model.geom_bodyid[i] in body_ids]
-    local = [_local_capsule(model, i) for i in geom_ids]
-    local_start = np.array([start for start, _, _ in local], np.float32)
-    local_end = np.array([end for _, end, _ in local], np.float32)
-    radius = np.array([radius for _, _, radius in local], np.float32)
-    slots = np.array([body_ids.index(model.geom_bodyid[i]) for i in geom_ids])
+    local = local_capsules(model)
+    slots = np.array([body_ids.index(model.geom_bodyid[i]) for i in local.geom])
 
     def of_qpos(qpos: Float[Array, " nq"]) -> Capsules:
+        qpos = qpos.at[:2].divide(units_per_metre)
         frames = {0: (jnp.zeros(3), jnp.eye(3))}
         for body in body_ids:
             frames[body] = _body_frame(model, body, frames[model.body_parentid[body]], qpos)
         xpos = jnp.stack([frames[body][0] for body in body_ids])[slots]
         xmat = jnp.stack([frames[body][1] for body in body_ids])[slots]
-        start, end = (xpos + _times(xmat, local) for local in (local_start, local_end))
-        return start, end, jnp.asarray(radius)
+        start, end = (xpos + _times(xmat, end) for end in (local.start, local.end))
+        radius = jnp.asarray(local.radius, jnp.float32)
+        return start * units_per_metre, end * units_per_metre, radius * units_per_metre
 
     return of_qpos
 

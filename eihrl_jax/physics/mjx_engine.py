@@ -11,7 +11,7 @@ from mujoco import mjx
 
 from eihrl_jax import base
 from eihrl_jax.ops import tree
-from eihrl_jax.physics import engine, scene
+from eihrl_jax.physics import controls, engine, scene
 from eihrl_jax.robots import robot as robot_lib
 
 _SMALLEST_TANGENT = 1e-6
@@ -28,12 +28,12 @@ class MjxEngine:
     has; `mujoco_engine.MujocoEngine` is the faster one there.
     """
 
-    def __init__(self, robot: robot_lib.Robot, cell: float = base.CELL):
+    def __init__(self, robot: robot_lib.Robot, cell: float | None = None):
         """Compiles the robot's scene and puts it on the device.
 
         Args:
           robot: the robot to drive.
-          cell: side of a wall's box, units.
+          cell: side of a wall's box, metres; None: the robot's cell.
 
         Raises:
           base.UserError: the robot's MJCF can't be read or compiled, or MJX lacks something that
@@ -41,6 +41,7 @@ class MjxEngine:
         """
         self.robot = robot
         self.model = scene.build(robot, cell)
+        self._controls = controls.of(self.model)
         try:
             self._model = mjx.put_model(self.model, impl="jax")
             self._data = mjx.make_data(self.model, impl="jax")
@@ -55,13 +56,14 @@ class MjxEngine:
         is_running: Bool[Array, ""] | bool = True,
     ) -> engine.PhysicsState:
         """Advances one control step, see `engine.Engine.step`."""
+        scale = self.robot.units_per_metre
         mocap_z = self._data.mocap_pos[:, 2:]  # walls move in the plane only
         data = self._data.replace(
-            qpos=state.qpos,
+            qpos=state.qpos.at[:2].divide(scale),  # from units to the model's metres
             qvel=state.qvel,
             qacc_warmstart=state.qacc_warmstart,
-            ctrl=ctrl.astype(jnp.float32),
-            mocap_pos=jnp.concatenate([walls_xy.astype(jnp.float32), mocap_z], 1),
+            ctrl=self._controls.of(ctrl.astype(jnp.float32)),
+            mocap_pos=jnp.concatenate([walls_xy.astype(jnp.float32) / scale, mocap_z], 1),
         )
 
         with _lenient_promotion(), _safe_cholesky():
@@ -70,7 +72,9 @@ class MjxEngine:
             )
 
         stepped = engine.PhysicsState(
-            qpos=data.qpos, qvel=data.qvel, qacc_warmstart=data.qacc_warmstart
+            qpos=data.qpos.at[:2].multiply(scale),
+            qvel=data.qvel,
+            qacc_warmstart=data.qacc_warmstart,
         )
         return tree.where(jnp.asarray(is_running), stepped, state)
 

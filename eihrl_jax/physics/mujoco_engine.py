@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from mujoco import batch as mujoco_batch
 
-from eihrl_jax import base
-from eihrl_jax.physics import engine, scene
+from eihrl_jax.physics import controls, engine, scene
 from eihrl_jax.robots import robot as robot_lib
 
 
@@ -20,14 +19,15 @@ class MujocoEngine:
     so results depend neither on the batch nor on the number of threads.
     """
 
-    def __init__(self, robot: robot_lib.Robot, cell: float = base.CELL):
-        """Compiles the robot's scene with walls of `cell` units.
+    def __init__(self, robot: robot_lib.Robot, cell: float | None = None):
+        """Compiles the robot's scene with walls of `cell` metres, by default the robot's cell.
 
         Raises:
           base.UserError: the robot's MJCF can't be read or compiled.
         """
         self.robot = robot
         self.model = scene.build(robot, cell)
+        self._controls = controls.of(self.model)
         self._batches: dict[int, mujoco_batch.Batch] = {}
         self._lock = threading.Lock()  # JAX may run two programs' callbacks at once
 
@@ -63,26 +63,30 @@ class MujocoEngine:
             for name in fields:
                 view = rows.bind(name)
                 view[...] = np.asarray(getattr(state, name)).reshape(view.shape)
-            rows.bind("mocap_pos")[..., :2] = np.asarray(walls_xy).reshape(rows.nsim, -1, 2)
+            # From units to the model's metres, and back at the end.
+            rows.bind("qpos")[..., :2] /= self.robot.units_per_metre
+            walls_metres = np.asarray(walls_xy) / np.float32(self.robot.units_per_metre)
+            rows.bind("mocap_pos")[..., :2] = walls_metres.reshape(rows.nsim, -1, 2)
             ctrls, running = np.asarray(ctrl).reshape(rows.nsim, -1), np.asarray(is_running).ravel()
 
             # MuJoCo would take controls that are no numbers for zeros, and warn on the terminal.
             is_number = np.isfinite(ctrls).all(1)
             rows.bind("qpos")[running & ~is_number] = np.nan
             moving = np.flatnonzero(running & is_number)
-            rows.bind("ctrl")[moving] = ctrls[moving]
+            rows.bind("ctrl")[moving] = self._controls.of(ctrls[moving])
 
             try:
                 rows.step(ids=moving, nstep=self.robot.num_substeps)
             except mujoco_batch.SimulationError as error:
                 rows.bind("qpos")[error.ids] = np.nan  # the environment's guard ends these episodes
+            rows.bind("qpos")[..., :2] *= self.robot.units_per_metre
             return state.replace(**{name: _as_float32(rows.bind(name), lead) for name in fields})
 
     def _batch(self, num_rows: int) -> mujoco_batch.Batch:
         """Returns the simulations for `num_rows` rows, made on first use."""
         if num_rows not in self._batches:
             rows = mujoco_batch.Batch(self.model, num_rows)
-            wall = self.model.body("wall_0").id
+            wall = self.model.body(scene.wall_name(0)).id
             rows.bind("mocap_pos")[..., 2] = self.model.body_pos[wall, 2]
             self._batches[num_rows] = rows
         return self._batches[num_rows]

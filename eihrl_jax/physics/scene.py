@@ -3,17 +3,34 @@
 The number of boxes depends on the robot's reach alone, so a step costs the same in every maze.
 """
 
+import warnings
+
 import mujoco
 import numpy as np
 
 from eihrl_jax import base
+from eihrl_jax.physics import controls, posture, stock
+from eihrl_jax.physics.stock import BOTH, FLOOR_ONLY, WALLS_ONLY
 from eihrl_jax.robots import robot as robot_lib
 
-BOTH, FLOOR_ONLY, WALLS_ONLY = 1, 2, 4
-"""Values of `contype` of a robot's geoms, by what they collide with."""
+FLOOR = "scene: floor"
+"""Name of the floor's geom; like those of the walls it is none that a robot's file would have."""
+
+_UPRIGHT = 0.02
+"""Greatest x or y of a start posture's unit quaternion."""
 
 PARKED_XY = (-1000.0, 1000.0)
 """Where a wall box waits while no wall is near, units."""
+
+_RESET_BITS = (
+    mujoco.mjtDisableBit.mjDSBL_CONTACT,
+    mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
+    mujoco.mjtDisableBit.mjDSBL_LIMIT,
+    mujoco.mjtDisableBit.mjDSBL_ACTUATION,
+    mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL,
+    mujoco.mjtDisableBit.mjDSBL_FILTERPARENT,
+)
+"""Flags of a file that would switch off what the scene is for."""
 
 # Set in full: a robot's own default class must not leak into floor and walls.
 # The floor has a margin, walls have none because MJX ignores it between boxes and round geoms.
@@ -27,27 +44,50 @@ _CONTACT = {
 }
 
 
-def build(robot: robot_lib.Robot, cell: float = base.CELL) -> mujoco.MjModel:
-    """Compiles the scene of a robot.
+def wall_name(index: int) -> str:
+    """Returns the name of a wall's body and of its geom."""
+    return f"scene: wall {index}"
+
+
+def build(robot: robot_lib.Robot, cell: float | None = None) -> mujoco.MjModel:
+    """Compiles the scene of a robot, whatever else stands in the robot's file.
 
     Floor and walls collide with the robot's geoms only. Walls are mocap boxes of one cell, as high
     as they are wide: against lower ones an immature ant lifts its torso to the upper edge.
 
     Args:
-      robot: the robot; its MJCF holds neither floor nor walls.
-      cell: side of a wall's box, units.
+      robot: the robot; of its file the robot alone is used, see `stock`.
+      cell: side of a wall's box, metres; None: the robot's cell.
 
     Returns:
-      The model; mocap bodies 0 to `robot.num_walls - 1` are the walls.
+      The model; mocap bodies 0 to `robot.num_walls - 1` are the walls, keyframe 0 is the posture in
+      which episodes start, and `controls.of` says what its actuators take.
 
     Raises:
-      base.UserError: the MJCF can't be read or compiled.
+      base.UserError: the MJCF can't be read or compiled, or the description doesn't fit it.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+        adapted = stock.adapt(spec, robot)
+        _set_options(spec, robot)
+        _add_surroundings(spec, robot.cell if cell is None else cell, robot.num_walls)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what is deprecated in a file of somebody else's
+            model = spec.compile()
+
+        _check_numbers(model)
+        posture.set_start(model, robot, adapted.has_keyframe)
+        if robot.root != "free" and not adapted.is_ours:
+            posture.lift(model, robot)
+        _check(model, robot)
+        controls.fit(model, robot)
     except (ValueError, OSError) as error:
         raise _unusable(robot, error) from None
+    return model
 
+
+def _set_options(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> None:
+    """Sets what both engines have in common; gravity and fluids are the file's."""
     spec.option.timestep = robot.physics_step
     is_in_fluid = spec.option.density > 0 or spec.option.viscosity > 0
     spec.option.integrator = (
@@ -60,9 +100,15 @@ def build(robot: robot_lib.Robot, cell: float = base.CELL) -> mujoco.MjModel:
     spec.option.ls_iterations = 8
     # A NaN must reach the environment's guard instead of teleporting the robot to the origin.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    for bit in _RESET_BITS:
+        spec.option.disableflags &= ~int(bit)
+    spec.option.enableflags = 0
 
+
+def _add_surroundings(spec: mujoco.MjSpec, cell: float, num_walls: int) -> None:
+    """Adds the floor, and wall boxes with sides of `cell` metres."""
     spec.worldbody.add_geom(
-        name="floor",
+        name=FLOOR,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0.0, 0.0, 1.0],
         margin=0.01,
@@ -70,23 +116,16 @@ def build(robot: robot_lib.Robot, cell: float = base.CELL) -> mujoco.MjModel:
         **_CONTACT,
     )
     half = cell / 2  # MuJoCo's sizes are half sides
-    for i in range(robot.num_walls):
-        body = spec.worldbody.add_body(name=f"wall_{i}", mocap=True, pos=[*PARKED_XY, half])
+    for i in range(num_walls):
+        body = spec.worldbody.add_body(name=wall_name(i), mocap=True, pos=[*PARKED_XY, half])
         body.add_geom(
-            name=f"wall_{i}",
+            name=wall_name(i),
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[half, half, half],
             margin=0.0,
             conaffinity=BOTH | WALLS_ONLY,
             **_CONTACT,
         )
-
-    try:
-        model = spec.compile()
-    except ValueError as error:
-        raise _unusable(robot, error) from None
-    _check(model, robot)
-    return model
 
 
 def _unusable(robot: robot_lib.Robot, error: Exception) -> base.UserError:
@@ -101,59 +140,72 @@ _ROOT_JOINTS = {
 }
 
 
-def _check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
-    """Checks what the package takes for granted; a user's own model may be otherwise."""
-    what = f"robot {robot.name!r}: {robot.mjcf}"
+def _check_numbers(model: mujoco.MjModel) -> None:
+    """Checks that the file's numbers are some, which MuJoCo doesn't.
 
+    Raises:
+      ValueError: one isn't finite; in one line.
+    """
+    for what in ("jnt_range", "actuator_ctrlrange", "body_mass", "geom_size", "qpos0"):
+        if not np.isfinite(getattr(model, what)).all():
+            raise ValueError(f"{what.replace('_', ' ')} must be finite")
+
+
+def _check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
+    """Checks what the package takes for granted; a user's own model may be otherwise.
+
+    Raises:
+      ValueError: it is otherwise; in one line.
+    """
     # The root: where qpos and qvel have position, heading and velocity of the torso.
     joints = _ROOT_JOINTS[robot.root]
     if tuple(model.jnt_type[: len(joints)]) != tuple(map(int, joints)):
-        raise base.UserError(f"{what}: its first joints aren't those of root {robot.root!r}")
+        raise ValueError(f"its first joints aren't those of root {robot.root!r}")
     axes = np.eye(3)[: len(joints)]
     if robot.root != "free" and (model.jnt_axis[: len(joints)] != axes).any():
-        raise base.UserError(f"{what}: its first joints must slide along x and y, and turn about z")
+        raise ValueError("its first joints must slide along x and y, and turn about z")
+    _check_torso(model, robot)
 
     # All other joints have one number in qpos and one in qvel: free and ball joints have more.
     if (model.jnt_type[len(joints) :] < int(mujoco.mjtJoint.mjJNT_SLIDE)).any():
-        raise base.UserError(f"{what}: besides the root's, its joints must be hinges and slides")
+        raise ValueError("besides the root's, its joints must be hinges and slides")
 
-    # Controls are in [-1, 1] and all that there is to them: a state of an actuator would be lost.
-    if robot.root == "slide" and model.actuator_trnid[:2, 0].tolist() != [0, 1]:
-        raise base.UserError(f"{what}: its first two actuators must push along x and y")
     if not model.nu:
-        raise base.UserError(f"{what}: it has no actuator")
-    if not model.actuator_ctrllimited.all() or (model.actuator_ctrlrange != [-1.0, 1.0]).any():
-        raise base.UserError(f"{what}: every actuator's ctrlrange must be -1 1")
-    if model.na:
-        raise base.UserError(f"{what}: its actuators must have no state, so no dyntype")
-
+        raise ValueError("it has no actuator")
+    if robot.root == "slide" and model.actuator_trnid[:2, 0].tolist() != [0, 1]:
+        raise ValueError("its first two actuators must push along x and y")
     if model.nmocap != robot.num_walls:
-        raise base.UserError(f"{what}: it must have no mocap body of its own")
-    _check_geoms(model, what)
-
-    if not model.nkey:
-        raise base.UserError(f"{what}: it has no keyframe, the posture in which episodes start")
-    if robot.root == "free" and model.key_qpos[0, 4:6].any():
-        raise base.UserError(f"{what}: its keyframe must be upright, turned about z alone")
+        raise ValueError("it must have no mocap body of its own")
+    if robot.root == "free" and np.abs(model.key_qpos[0, 4:6]).max() > _UPRIGHT:
+        raise ValueError(
+            "its start posture must be upright, turned about z alone: name another keyframe, or "
+            "give start in the description"
+        )
 
     if robot.symmetry is not None:
         num_joints = model.njnt - len(joints)
         for name, size in (("joints", num_joints), ("controls", model.nu)):
             ordered = robot.symmetry.size(name)
             if ordered != size:
-                raise base.UserError(f"{what}: symmetry orders {ordered} {name}, it has {size}")
+                raise ValueError(f"symmetry orders {ordered} {name}, it has {size}")
 
 
-def _check_geoms(model: mujoco.MjModel, what: str) -> None:
-    """Checks that the robot's geoms meet floor and walls alone, see `docs/robots.md`."""
-    # MuJoCo: geoms collide if the contype of one shares a bit with the conaffinity of the other.
-    is_own = model.geom_conaffinity == 0
-    for index in np.flatnonzero(~is_own).tolist():
-        name = model.geom(index).name
-        if name != "floor" and not name.startswith("wall_"):
-            raise base.UserError(f"{what}: geom {name or index!r} must have conaffinity 0")
+def _check_torso(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
+    """Checks that the torso stands where qpos says, which a turned or shifted body needn't.
 
-    if not np.isin(model.geom_contype[is_own], (0, BOTH, FLOOR_ONLY, WALLS_ONLY)).all():
-        raise base.UserError(f"{what}: contype of a geom must be 0, 1, 2 or 4")
-    if model.geom_margin[is_own].any():
-        raise base.UserError(f"{what}: geoms must have no margin")
+    Raises:
+      ValueError: it doesn't; in one line.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.key_qpos[0]
+    data.qpos[:2] = asked = np.array([1.3, -0.7])
+    if robot.root == "planar":
+        data.qpos[2] = 0.9  # a torso that turns about a point beside it moves
+    mujoco.mj_kinematics(model, data)
+
+    stands = data.xpos[model.jnt_bodyid[0], :2]
+    if np.abs(stands - asked).max() > 1e-6:
+        raise ValueError(
+            f"with its torso at {asked.tolist()} in qpos it is at {stands.round(3).tolist()}: the "
+            "body of the root's joints must be neither turned nor moved against them"
+        )

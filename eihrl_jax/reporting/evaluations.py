@@ -130,9 +130,9 @@ def _animate(out: pathlib.Path, evaluated: evaluation_lib.Evaluated, maze: str) 
     animation.save(
         out / f"{evaluated.agent.file_name}-{maze}.gif",
         typical(evaluated.rollouts[maze]),
-        kinematics.capsules(scene.build(robot)),
+        kinematics.capsules(scene.build(robot), robot.units_per_metre),
         title=_label(maze),
-        reach=robot.reach,
+        reach=robot.reach * robot.units_per_metre,
     )
 
 

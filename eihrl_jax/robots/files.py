@@ -59,6 +59,8 @@ def read(path: pathlib.Path) -> Robot:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise base.UserError(f"robot {str(path)!r}: {error.strerror}") from None
+    except RecursionError:
+        raise base.UserError(f"robot {str(path)!r} is nested too deep") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise base.UserError(f"robot {str(path)!r} is no TOML: {error}") from None
 

@@ -1,11 +1,12 @@
 """What the rest of the package needs to know about a robot besides its MJCF."""
 
+import math
 import pathlib
 import re
 from typing import Annotated, Literal
 
 from eihrl_jax import base
-from eihrl_jax.config import limits
+from eihrl_jax.config import checks, limits
 from eihrl_jax.robots import symmetry as symmetry_lib
 
 Root = Literal["free", "planar", "slide"]
@@ -16,19 +17,27 @@ Root = Literal["free", "planar", "slide"]
 class Robot:
     """A robot: where its model is, and the numbers by which the hierarchy drives it.
 
+    Lengths are in the model's own metres; a cell, 3 units everywhere else, is `cell` metres wide.
+
     Attributes:
       name: as it is called on the command line and in run folders.
-      mjcf: path of the MJCF file; the file holds the robot alone, no floor and no walls.
-      root: "free" for a body on a free joint (qpos: x y z, quaternion, joints), "planar" for one on
-        two slides along x and y and a hinge about z (qpos: x y yaw, joints), "slide" for one on the
-        two slides alone, whose first two controls push along x and y.
+      mjcf: path of the MJCF file, whose own world is left out, see `physics.stock`.
+      root: "free" for a body on a free joint (qpos: x y z, quaternion, joints), which replaces any
+        other joints of its torso; "planar" for one on two slides along x and y and a hinge about z
+        (qpos: x y yaw, joints); "slide" for one on the two slides alone, whose first two controls
+        push along x and y.
       physics_step: seconds per physics step.
       num_substeps: physics steps per control step.
       steps_per_subgoal: control steps per subgoal, k in the paper.
-      reach: greatest distance in units of any part from the torso's xy; below 1.5 three wall boxes
-        are enough, else eight.
-      body_radius: radius in units with which oracle movement stops at walls.
-      healthy_z: torso heights outside of which the robot counts as fallen, units; None: it can't.
+      reach: greatest distance of any part from the torso's xy, metres; below half a cell three wall
+        boxes are enough, else eight.
+      body_radius: radius with which oracle movement stops at walls, metres.
+      healthy_z: torso heights outside of which the robot counts as fallen, metres; None: it can't.
+      cell: side of a cell, metres.
+      keyframe: name of the model's keyframe in which episodes start; None: its first one.
+      start: all of qpos at the start of an episode, instead of a keyframe's.
+      servo_range: how far from the start posture controls of 1 move a servo at most, radians or
+        metres; None: to the end of its range.
       qpos_noise: half-width of the uniform noise on the joints at reset, radians.
       qvel_noise: standard deviation of the noise on velocities at reset, units or radians per
         second.
@@ -41,9 +50,13 @@ class Robot:
     physics_step: Annotated[float, limits.Range(above=0.0, high=0.1)]
     num_substeps: Annotated[int, limits.Range(1, 1000)]
     steps_per_subgoal: Annotated[int, limits.Range(2, 10_000)]
-    reach: Annotated[float, limits.Range(above=0.0, high=base.CELL)]
-    body_radius: Annotated[float, limits.Range(above=0.0, high=base.CELL / 2)]
+    reach: limits.Positive
+    body_radius: limits.Positive
     healthy_z: tuple[float, float] | None = None
+    cell: Annotated[float, limits.Range(0.01, 1_000.0)] = base.CELL
+    keyframe: str | None = None
+    start: tuple[float, ...] | None = None
+    servo_range: limits.Positive | None = None
     qpos_noise: Annotated[float, limits.Range(0.0, 3.2)] = 0.1
     qvel_noise: Annotated[float, limits.Range(0.0, 10.0)] = 0.1
     symmetry: symmetry_lib.Symmetry | None = None
@@ -53,6 +66,14 @@ class Robot:
         # The name becomes part of paths.
         if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", self.name):
             raise base.UserError(f"name = {self.name!r} must be letters, digits, - and _")
+
+        # Farther than in the cells around its own there are no walls for it.
+        checks.in_range("reach", self.reach, above=0.0, high=self.cell)
+        checks.in_range("body_radius", self.body_radius, above=0.0, high=self.cell / 2)
+        if self.keyframe is not None and self.start is not None:
+            raise base.UserError("keyframe and start exclude each other")
+        if self.start is not None and not all(map(math.isfinite, self.start)):
+            raise base.UserError(f"start = {self.start} must hold finite numbers")
 
         if self.healthy_z is not None and not self.healthy_z[0] < self.healthy_z[1]:
             raise base.UserError(f"healthy_z = {self.healthy_z} must be a height and a greater one")
@@ -68,7 +89,12 @@ class Robot:
         return self.physics_step * self.num_substeps
 
     @property
+    def units_per_metre(self) -> float:
+        """Units of mazes, of which a cell has 3, per metre of the robot's model."""
+        return base.CELL / self.cell
+
+    @property
     def num_walls(self) -> int:
         """Number of wall boxes that can touch the robot at once."""
         # Nearer than half a cell to its centre, a robot meets one cell on each axis and a corner.
-        return 3 if self.reach < base.CELL / 2 else 8
+        return 3 if self.reach < self.cell / 2 else 8

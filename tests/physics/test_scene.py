@@ -25,8 +25,8 @@ def test_walls_are_cells(name):
     model = scene.build(robot)
     assert model.nmocap == robot.num_walls
     for i in range(robot.num_walls):
-        np.testing.assert_array_equal(model.geom(f"wall_{i}").size, base.CELL / 2)
-        assert model.body(f"wall_{i}").mocapid[0] == i
+        np.testing.assert_array_equal(model.geom(scene.wall_name(i)).size, base.CELL / 2)
+        assert model.body(scene.wall_name(i)).mocapid[0] == i
     assert model.opt.timestep == robot.physics_step
 
 
@@ -34,7 +34,7 @@ def test_walls_are_cells(name):
 def test_defaults_of_the_robot_do_not_leak(name):
     """Floor and walls are the same for every robot."""
     ours, ants = scene.build(robots.load(name)), scene.build(robots.load("ant"))
-    for part in ("floor", "wall_0"):
+    for part in (scene.FLOOR, scene.wall_name(0)):
         for field in ("friction", "solref", "solimp", "margin", "condim", "size"):
             np.testing.assert_array_equal(
                 getattr(ours.geom(part), field), getattr(ants.geom(part), field)
@@ -46,7 +46,7 @@ def test_walls_and_robots_have_no_contact_margin():
     for name in robots.NAMES:
         model = scene.build(robots.load(name))
         margins = {model.geom(i).name: model.geom_margin[i] for i in range(model.ngeom)}
-        assert margins.pop("floor") == 0.01
+        assert margins.pop(scene.FLOOR) == 0.01
         assert set(margins.values()) == {0.0}
 
 
