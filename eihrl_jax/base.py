@@ -62,6 +62,10 @@ class UserError(ValueError):
     """
 
 
+class Stopped(KeyboardInterrupt):
+    """A job that the user has stopped with Ctrl-C; its text says what was kept."""
+
+
 class Outcome(struct.PyTreeNode):
     """What a step led to, its observation left out.
 

@@ -4,12 +4,14 @@ Exit codes: 0 done, 2 the user's mistake, 130 interrupted with Ctrl-C.
 """
 
 import contextlib
+import dataclasses
 import errno
 import functools
 import io
 import itertools
 import os
 import pathlib
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from typing import NoReturn, TypeVar
@@ -57,9 +59,23 @@ def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None
         if error.errno not in _PLACE_ERRORS:
             raise
         fail(f"{error.filename}: {error.strerror}")
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        print(_farewell(stop, command, argv, program), file=sys.stderr)
         sys.exit(130)  # 128 + SIGINT, as shells have it
+
+
+def _farewell(
+    stop: KeyboardInterrupt, command: command_lib.Command, argv: Sequence[str], program: str
+) -> str:
+    """Returns the last words after Ctrl-C: what was kept, and what goes on from there."""
+    if not isinstance(stop, base.Stopped):
+        return "interrupted"
+    words = [*shlex.split(program), *argv]
+    # Commands of many runs go on by themselves.
+    fields = {field.name for field in dataclasses.fields(command.config_type)}
+    if "resume" in fields and "--resume" not in argv:
+        words.append("--resume")
+    return f"stopped: {stop}\ngo on with: {shlex.join(words)}"
 
 
 def fail(message: str) -> NoReturn:

@@ -2,11 +2,13 @@
 
 A policy is a folder with `arrays/` (see `checkpoint`) and `meta.json`: which level (or
 that it is a whole baseline), which robot, sizes of network and view, the config, versions and
-steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run in `<run>/policy`.
+steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run in `<run>/policy`,
+and until that is there in `<run>/latest`.
 """
 
 import json
 import pathlib
+import sys
 from collections.abc import Iterable
 from typing import Any, Literal, TypeAlias
 
@@ -28,6 +30,9 @@ PRETRAINED = pathlib.Path(__file__).parents[1] / "pretrained"
 
 FOLDER = "policy"
 """Name of a run's final policy inside its run folder."""
+
+LATEST = "latest"
+"""Name of the policy of a run's last checkpoint, there until the run is finished."""
 
 
 def save(
@@ -101,17 +106,21 @@ def entry(meta: Meta, name: str, path: pathlib.Path) -> Any:
 def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
     """Returns the folder of a policy, given a shipped name, a run folder or the folder itself.
 
+    Of a run that isn't finished it is that of the last checkpoint; a line says so.
+
     Raises:
       UserError: there is none.
     """
     folder = _first(name, (kind,))
     if folder is not None:
+        if folder.name == LATEST:
+            print(f"{name} isn't finished: its last checkpoint is taken", file=sys.stderr)
         return folder
 
     # A run folder without policy gets its own message: the name itself was right.
     path = pathlib.Path(name)
     if (path / "config.json").is_file():
-        raise base.UserError(f"{path} holds no final policy yet: its training isn't finished")
+        raise base.UserError(f"{path} holds no policy yet: its training has just begun")
     raise base.UserError(
         f"{name} is neither a policy nor a finished run; shipped {_NOUNS[kind]} names: "
         + (", ".join(shipped(kind)) or "none")
@@ -136,7 +145,7 @@ def _first(name: str | pathlib.Path, kinds: Iterable[Kind]) -> pathlib.Path | No
     """Returns the first complete policy's folder among the places that `name` may mean."""
     path = pathlib.Path(name)
     # A path comes first, so that a folder of one's own can have a shipped name.
-    places = (path, path / FOLDER, *(PRETRAINED / name / kind for kind in kinds))
+    places = (path, path / FOLDER, path / LATEST, *(PRETRAINED / name / kind for kind in kinds))
     return next((place for place in places if checkpoint.is_complete(place)), None)
 
 

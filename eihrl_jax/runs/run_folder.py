@@ -1,7 +1,7 @@
 """The folder of one training run: what was run, with what, how it went, and how to go on.
 
     config.json     the options of the last start, as `codec.to_json` writes them
-    versions.json   one entry per start: packages, Python, machine, commit
+    versions.json   one entry per start: packages, Python, machine, commit, and how far it came
     metrics.csv     one row per `log`, one column per metric, see `metrics_log`
     tensorboard/    the same numbers as events
     checkpoints/    see `checkpoint`
@@ -14,6 +14,7 @@ import json
 import os
 import pathlib
 import sys
+import time
 from collections.abc import Collection, Mapping
 from typing import Any, SupportsFloat, TypeAlias, TypeVar
 
@@ -28,6 +29,7 @@ CHECKPOINTS = "checkpoints"
 """Name of the folder of a run's checkpoints."""
 
 _CONFIG = "config.json"
+_STARTS = "versions.json"
 
 StateT = TypeVar("StateT")
 Json: TypeAlias = Any  # What `json.loads` returns.
@@ -44,6 +46,8 @@ class RunFolder:
         """Use `create`. Without lock, another process of the same run looks after the folder."""
         self.path = path
         self._lock = lock
+        self._begin = time.monotonic()
+        self._starts: list[dict[str, Json]] = []
         self._metrics = metrics_log.MetricsLog(path)
 
     @classmethod
@@ -81,10 +85,8 @@ class RunFolder:
         path.mkdir(parents=True, exist_ok=True)
         run = cls(path, folders.take_lock(path))
         folders.write_whole(path / _CONFIG, text)
-        starts = _read_starts(path / "versions.json")
-        folders.write_whole(
-            path / "versions.json", json.dumps([*starts, versions.describe()], indent=2)
-        )
+        run._starts = [*read_starts(path), versions.describe()]
+        run._write_starts()
         return run
 
     def __enter__(self) -> "RunFolder":
@@ -105,6 +107,10 @@ class RunFolder:
     def save(self, step: int, state: PyTree) -> None:
         """Writes a checkpoint; call it after `log` of the same step."""
         checkpoint.save(self.path / CHECKPOINTS, step, state)
+        if self._lock is not None:
+            seconds = round(time.monotonic() - self._begin, 1)
+            self._starts[-1] |= {"step": step, "seconds": seconds}
+            self._write_starts()
 
     def restore(self, template: StateT) -> tuple[int, StateT] | None:
         """Reads the last checkpoint and drops the metrics that were logged after it.
@@ -129,6 +135,9 @@ class RunFolder:
         """Appends one row to the run's metrics, see `MetricsLog.log`."""
         if self._lock is not None:
             self._metrics.log(step, metrics)
+
+    def _write_starts(self) -> None:
+        folders.write_whole(self.path / _STARTS, json.dumps(self._starts, indent=2))
 
 
 def _check_same_options(file: pathlib.Path, options: object, may_change: Collection[str]) -> None:
@@ -166,8 +175,13 @@ def _flat(options: Json, name: str = "") -> dict[str, Json]:
     return {key: value for part in parts for key, value in part.items()}
 
 
-def _read_starts(file: pathlib.Path) -> list[Json]:
+def read_starts(path: pathlib.Path) -> list[dict[str, Json]]:
+    """Returns what is known of each start of a run, the first one first.
+
+    An entry is as `versions.describe` has it, with the `step` of its last checkpoint and the
+    `seconds` until then, compilation included, where one was written.
+    """
     try:
-        return list(json.loads(file.read_text()))
+        return list(json.loads((path / _STARTS).read_text()))
     except (FileNotFoundError, ValueError):
         return []

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import pathlib
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import jax
@@ -123,27 +122,30 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
     return Arena(f"{config.method} in {config.maze}", env, env.side_xy, baseline)
 
 
-def train(config: config_lib.BaselineConfig) -> None:
+def train(config: config_lib.BaselineConfig, watch: loop.Watch | None = None) -> None:
     """Trains a baseline in a run folder, or goes on with a run that was stopped.
 
     The run folder ends up with the policy.
 
     Args:
       config: the options of the method.
+      watch: draws what is new in the run folder.
 
     Raises:
       base.UserError: an option or the run folder is not as it should be.
     """
-    train_in(make_arena(config), config)
+    train_in(make_arena(config), config, watch)
 
 
-def train_in(arena: Arena, config: config_lib.BaselineConfig) -> None:
+def train_in(
+    arena: Arena, config: config_lib.BaselineConfig, watch: loop.Watch | None = None
+) -> None:
     """Trains as `train` does, where and with what `arena` says.
 
     Raises:
       base.UserError: the run folder is not as it should be.
     """
-    loop.run(_Job(arena, config), config)
+    loop.run(_Job(arena, config), config, watch)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,8 +204,8 @@ class _Job(loop.Job[State]):
         row = metrics_lib.summarise(metrics)
         return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
 
-    def finish(self, path: pathlib.Path, state: State) -> tuple[base.Params, policies.Meta]:
-        """Returns the policy; the run leaves nothing else."""
+    def policy(self, state: State) -> tuple[base.Params, policies.Meta]:
+        """Returns the parameters, and all that is needed to use them."""
         meta = {
             "method": self.config.method,
             "maze": self.config.maze,

@@ -1,7 +1,6 @@
 """Training of the high level: PEG-A2C in a maze with oracle movement (paper, Sec. 3.2 and 4.1)."""
 
 import dataclasses
-import pathlib
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
@@ -29,7 +28,11 @@ _EVALUATION_STREAM = 1
 TreeT = TypeVar("TreeT")
 
 
-def train(config: high_config.HighConfig, with_physics: base.Environment | None = None) -> float:
+def train(
+    config: high_config.HighConfig,
+    with_physics: base.Environment | None = None,
+    watch: loop.Watch | None = None,
+) -> float:
     """Trains a high level in a run folder, or goes on with a run that was stopped.
 
     The run folder ends up with the policy. In a run of several processes all must call this; the
@@ -39,6 +42,7 @@ def train(config: high_config.HighConfig, with_physics: base.Environment | None 
       config: the run's options.
       with_physics: the same task with physics, where evaluations are made a second time; in
         metrics.csv they are called `walking/`, beside `eval/`.
+      watch: draws what is new in the run folder.
 
     Returns:
       Seconds of training past compilation, evaluations and checkpoints included.
@@ -61,7 +65,7 @@ def train(config: high_config.HighConfig, with_physics: base.Environment | None 
     agent = make_agent(env, config)
     mesh = parallel.make_mesh(config.num_devices, config.learner.num_workers)
     evaluated_in = {"eval": env} if with_physics is None else {"eval": env, "walking": with_physics}
-    return loop.run(_Job(config, env, agent, mesh, evaluated_in), config)
+    return loop.run(_Job(config, env, agent, mesh, evaluated_in), config, watch)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,8 +154,8 @@ class _Job(loop.Job[LearnerState]):
         row = {"num_decisions": float(state.num_decisions)} | summarise(metrics)
         return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
 
-    def finish(self, path: pathlib.Path, state: LearnerState) -> tuple[base.Params, policies.Meta]:
-        """Returns the policy; the run leaves nothing else."""
+    def policy(self, state: LearnerState) -> tuple[base.Params, policies.Meta]:
+        """Returns the parameters, and all that is needed to use them."""
         task = self.config.task
         meta = {
             "maze": _title(task),

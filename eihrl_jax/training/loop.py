@@ -1,18 +1,27 @@
 """The one training loop: resume, advance, evaluate, log, checkpoint, and the policy at the end.
 
+Ctrl-C ends a run with a checkpoint, and checkpoints are also written by the clock: whatever the
+options say, little is lost.
+
 What is trained is a `Job`: the low level, the high level and the baselines each have one.
 """
 
+import contextlib
 import dataclasses
 import math
 import pathlib
-from collections.abc import Callable, Collection, Mapping
+import shutil
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Protocol, TypeVar, runtime_checkable
 
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
 from jaxtyping import Array
 
 from eihrl_jax import base
-from eihrl_jax.runs import checkpoint, policies, run_folder, versions
+from eihrl_jax.runs import checkpoint, policies, run_folder, stopping, versions
 from eihrl_jax.runs import progress as progress_lib
 
 StateT = TypeVar("StateT")
@@ -25,6 +34,14 @@ Advance = Callable[[StateT], tuple[StateT, Metrics]]
 
 Evaluate = Callable[[StateT, int], dict[str, float]]
 """Evaluates a state that has done so many steps; its metrics' names have their prefix already."""
+
+Watch = Callable[[pathlib.Path], object]
+"""Called with the run folder after each checkpoint, by the first process, to draw what is new."""
+
+SECONDS_BETWEEN_SAVES = 20.0
+"""Checkpoints are no rarer than this, unless saving would take more than `_SAVING_SHARE`."""
+
+_SAVING_SHARE = 0.05  # of a run's time
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -90,7 +107,11 @@ class Job(Protocol[StateT]):
         """Makes a row of numbers of what `Advance` returned."""
         ...
 
-    def finish(self, path: pathlib.Path, state: StateT) -> tuple[base.Params, policies.Meta]:
+    def policy(self, state: StateT) -> tuple[base.Params, policies.Meta]:
+        """Returns the policy's parameters, and the JSON values that must stand beside them."""
+        ...
+
+    def finish(self, path: pathlib.Path, state: StateT) -> policies.Meta:
         """Ends a run.
 
         Args:
@@ -98,9 +119,10 @@ class Job(Protocol[StateT]):
           state: the last one.
 
         Returns:
-          The policy's parameters, and the JSON values that must stand beside them.
+          What else must stand beside the final policy's parameters.
         """
-        ...
+        del path, state
+        return {}
 
 
 @runtime_checkable
@@ -118,7 +140,7 @@ class Options(Protocol):
         ...
 
 
-def run(job: Job[StateT], config: Options) -> float:
+def run(job: Job[StateT], config: Options, watch: Watch | None = None) -> float:
     """Trains in a run folder from the start, or from where the run was stopped, to the end.
 
     Where several processes train together all must call this; the first one writes.
@@ -126,12 +148,14 @@ def run(job: Job[StateT], config: Options) -> float:
     Args:
       job: what is trained.
       config: the run's options, a dataclass.
+      watch: draws what is new.
 
     Returns:
       Seconds of training past compilation, evaluations and checkpoints included.
 
     Raises:
       base.UserError: the run folder is not as it should be.
+      base.Stopped: Ctrl-C was pressed; its text says what was kept.
     """
     plan = job.plan
     _check_length(plan, config)  # before the folder's config is written anew
@@ -149,10 +173,15 @@ def run(job: Job[StateT], config: Options) -> float:
             unit=plan.unit,
             done=done * plan.units_per_step,
         ) as progress:
-            state = _train(job, state, done, folder, progress)
-            seconds = progress.seconds
-        # Also where nothing was left to train: a kill may have come just before the policy.
-        _finish(job, state, folder)
+            if resumed is not None:
+                progress.print(f"{folder.path} goes on from {_share(plan, done)}")
+            try:
+                state = _train(job, state, done, folder, progress, watch)
+                seconds = progress.seconds
+                # Also where nothing was left to train: a kill may have come before the policy.
+                _finish(job, state, folder)
+            except KeyboardInterrupt:
+                raise base.Stopped(_kept(plan, folder.path)) from None
     return seconds
 
 
@@ -162,9 +191,10 @@ def _train(
     done: int,
     folder: run_folder.RunFolder,
     progress: progress_lib.Progress,
+    watch: Watch | None,
 ) -> StateT:
     """Trains from the step `done` to the end, and returns the last state."""
-    plan = job.plan
+    plan, clock = job.plan, _SaveClock()
     # Both before the first step, so that an evaluation that can't be compiled costs no training.
     with progress.compiling("training"):
         advance = job.compile_training(state)
@@ -173,33 +203,99 @@ def _train(
     if done == 0:
         state = job.begin(state, progress)
 
-    while done < plan.num_steps:
-        state, metrics = advance(state)
-        done += plan.log_every
-        is_last = done >= plan.num_steps
+    with stopping.deferred() as stop:
+        while done < plan.num_steps:
+            state, metrics = advance(state)
+            done += plan.log_every
+            is_last = done >= plan.num_steps
 
-        row = job.row(state, metrics)
-        if is_last or done % plan.evaluate_every == 0:
-            row |= evaluate(state, done)
-        folder.log(done, row)
-        progress.update(done * plan.units_per_step, _shown(plan, row))
+            row = job.row(state, metrics)
+            if is_last or done % plan.evaluate_every == 0:
+                row |= evaluate(state, done)
+            folder.log(done, row)
+            progress.update(done * plan.units_per_step, _shown(plan, row))
 
-        # After the row of the same step, which a run that goes on from here doesn't write again.
-        if is_last or done % plan.checkpoint_every == 0:
-            folder.save(done, state)
+            # After the row of the same step, which a run that goes on doesn't write again.
+            is_stopped, is_due = _agreed(stop.is_asked, clock.is_due())
+            if is_last or is_stopped or is_due or done % plan.checkpoint_every == 0:
+                with clock.saving():
+                    _keep(job, state, done, folder, watch)
+            if is_stopped and not is_last:
+                raise KeyboardInterrupt
     return state
+
+
+def _keep(
+    job: Job[StateT],
+    state: StateT,
+    done: int,
+    folder: run_folder.RunFolder,
+    watch: Watch | None,
+) -> None:
+    """Writes a checkpoint, the policy that it holds, and whatever `watch` draws."""
+    folder.save(done, state)
+    _save_policy(folder.path / policies.LATEST, job.plan.kind, *job.policy(state))
+    if watch is not None and jax.process_index() == 0:
+        watch(folder.path)
 
 
 def _finish(job: Job[StateT], state: StateT, folder: run_folder.RunFolder) -> None:
     """Writes the policy, last of all: a run that has one is complete."""
-    params, meta = job.finish(folder.path, state)
-    policies.save(
-        folder.path / policies.FOLDER,
-        kind=job.plan.kind,
-        params=params,
-        meta=meta | {"versions": versions.describe()},
-        overwrite=True,  # a run that was longer than its first end has one already
-    )
+    params, meta = job.policy(state)
+    meta |= job.finish(folder.path, state) | {"versions": versions.describe()}
+    _save_policy(folder.path / policies.FOLDER, job.plan.kind, params, meta)
+    if jax.process_index() == 0:
+        shutil.rmtree(folder.path / policies.LATEST, ignore_errors=True)
+
+
+def _save_policy(
+    path: pathlib.Path, kind: policies.Kind, params: base.Params, meta: policies.Meta
+) -> None:
+    """Writes a policy in place of an earlier one of the same run."""
+    policies.save(path, kind=kind, params=params, meta=meta, overwrite=True)
+
+
+class _SaveClock:
+    """Tells when a checkpoint is due by the time that has passed."""
+
+    def __init__(self) -> None:
+        """Begins with what is stored already."""
+        self._saved = self._looked = time.monotonic()
+        self._piece = self._cost = 0.0
+
+    def is_due(self) -> bool:
+        """Returns whether another piece as long as the last one would be too late for the next."""
+        now = time.monotonic()
+        self._looked, self._piece = now, now - self._looked
+        limit = max(SECONDS_BETWEEN_SAVES, self._cost / _SAVING_SHARE)
+        return now + self._piece - self._saved > limit
+
+    @contextlib.contextmanager
+    def saving(self) -> Iterator[None]:
+        """Notes when the block has saved, and how long it took."""
+        start = time.monotonic()
+        yield
+        self._saved = self._looked = time.monotonic()
+        self._cost = self._saved - start
+
+
+def _agreed(*flags: bool) -> list[bool]:
+    """Returns flags that are the same in all processes of a run: set where one has them set."""
+    if jax.process_count() == 1:
+        return list(flags)
+    return multihost_utils.process_allgather(np.array(flags)).any(axis=0).tolist()
+
+
+def _kept(plan: Plan, path: pathlib.Path) -> str:
+    """Says what a run that is stopped leaves."""
+    step = checkpoint.last_step(path / run_folder.CHECKPOINTS)
+    return f"{path} keeps " + ("nothing yet" if step is None else _share(plan, step))
+
+
+def _share(plan: Plan, done: int) -> str:
+    """Says how far a run is."""
+    num, total = done * plan.units_per_step, plan.num_steps * plan.units_per_step
+    return f"{num:,} of {total:,} {plan.unit} ({100 * num / total:.0f} %)"
 
 
 def _check_length(plan: Plan, config: Options) -> None:

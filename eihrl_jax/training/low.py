@@ -85,29 +85,33 @@ class _Job(loop.Job[LowState]):
     def row(self, state: LowState, metrics: loop.Metrics) -> dict[str, float]:
         return _numbers(metrics)
 
-    def finish(self, path: pathlib.Path, state: LowState) -> tuple[base.Params, policies.Meta]:
+    def policy(self, state: LowState) -> tuple[base.Params, policies.Meta]:
+        """Returns the actor's average, and all that is needed to use it."""
+        meta = {
+            **self.trainer.meta(),
+            "num_iterations": int(state.iteration),
+            "num_updates": int(state.learner.num_updates),
+        }
+        return state.learner.average_params, meta
+
+    def finish(self, path: pathlib.Path, state: LowState) -> policies.Meta:
         """Records the posture bank, and measures the policy once more, longer."""
         params = state.learner.average_params
         _, measure_key, posture_key = self._keys
         qpos = self.trainer.jit_record_postures(params, posture_key)
         postures.save(postures.PostureBank(qpos=qpos), path / "postures.npz", self.trainer.robot)
 
-        meta = {
-            **self.trainer.meta(),
-            "statistics": _numbers(self.trainer.jit_measure(params, measure_key, 256, 20)),
-            "num_iterations": int(state.iteration),
-            "num_updates": int(state.learner.num_updates),
-        }
-        return params, meta
+        return {"statistics": _numbers(self.trainer.jit_measure(params, measure_key, 256, 20))}
 
 
-def train(config: low_config.LowConfig) -> None:
+def train(config: low_config.LowConfig, watch: loop.Watch | None = None) -> None:
     """Trains a low level in a run folder, or goes on with a run that was stopped.
 
     The run folder ends up with the policy, its subgoal statistics and the posture bank.
 
     Args:
       config: the run's options.
+      watch: draws what is new in the run folder.
 
     Raises:
       base.UserError: an option or the run folder is not as it should be.
@@ -120,15 +124,18 @@ def train(config: low_config.LowConfig) -> None:
     >>> (config.run / "policy").is_dir()
     True
     """
-    train_with(LowTrainer(config), config)
+    train_with(LowTrainer(config), config, watch)
 
 
-def train_with(trainer: LowTrainer, config: low_config.LowConfig) -> None:
+def train_with(
+    trainer: LowTrainer, config: low_config.LowConfig, watch: loop.Watch | None = None
+) -> None:
     """Trains as `train` does, with a trainer that may have been compiled for another run.
 
     Args:
       trainer: made of options that differ at most in the run's folder, length and start.
       config: the run's options.
+      watch: draws what is new in the run folder.
 
     Raises:
       base.UserError: the run folder is not as it should be.
@@ -137,7 +144,7 @@ def train_with(trainer: LowTrainer, config: low_config.LowConfig) -> None:
     # Once it is begun, the run goes on without the other.
     if config.start_from is not None and checkpoint.last_step(checkpoints) is None:
         start = _load_start(trainer, config.start_from)
-    loop.run(_Job(trainer, config, start), config)
+    loop.run(_Job(trainer, config, start), config, watch)
 
 
 def _load_start(trainer: LowTrainer, path: pathlib.Path) -> LowState:

@@ -75,5 +75,5 @@ def test_find_takes_policy_run_and_shipped_name(saved, monkeypatch, tmp_path):
 
 def test_unfinished_run_is_told(tmp_path):
     (tmp_path / "config.json").write_text("{}")
-    with pytest.raises(base.UserError, match="training isn't finished"):
+    with pytest.raises(base.UserError, match="training has just begun"):
         policies.find(tmp_path, "high")

@@ -3,8 +3,10 @@
 import csv
 import dataclasses
 import json
+import os
 import pathlib
 import shutil
+import signal
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,7 @@ import pytest
 from flax import struct
 
 from eihrl_jax import base
-from eihrl_jax.runs import policies, run_folder
+from eihrl_jax.runs import checkpoint, policies, run_folder
 from eihrl_jax.training import loop
 
 
@@ -40,6 +42,7 @@ class Job:
 
     length: int = 12
     kill_at: tuple[str, int] = ("never", 0)
+    stop_at: tuple[str, int] = ("never", 0)
     calls: list = dataclasses.field(default_factory=list)
     done: int = 0
 
@@ -62,6 +65,8 @@ class Job:
         self.calls.append((call, done))
         if self.kill_at == (call, done):
             raise Killed
+        if self.stop_at == (call, done):
+            os.kill(os.getpid(), signal.SIGINT)
 
     def init(self):
         return State(value=jnp.float32(0.0), key=jax.random.key(3))
@@ -94,10 +99,13 @@ class Job:
         rare = float(self.done) if self.done == 8 else np.nan
         return {"value": float(metrics["value"]), "rare": rare}
 
+    def policy(self, state):
+        return {"value": state.value}, {"steps": int(state.value // 10)}
+
     def finish(self, path, state):
         self.note("finish", self.done)
         (path / "extra").write_text("left by the job")
-        return {"value": state.value}, {"steps": int(state.value // 10)}
+        return {"ended": True}
 
 
 @pytest.fixture(scope="module")
@@ -124,8 +132,9 @@ def test_everything_is_done_when_it_is_due(whole):
     assert sorted(int(path.name) for path in (run / "checkpoints").iterdir()) == [8, 12]
     params, meta = policies.load(run / policies.FOLDER, kind="high")
     assert int(params["value"] // 10) == 12
-    assert meta["steps"] == 12 and meta["versions"]["packages"]["jax"]
+    assert meta["steps"] == 12 and meta["ended"] and meta["versions"]["packages"]["jax"]
     assert (run / "extra").is_file()
+    assert not (run / policies.LATEST).exists()
 
 
 @pytest.mark.parametrize(
@@ -155,6 +164,47 @@ def test_a_kill_changes_nothing(whole, tmp_path, moment):
     advanced = [done for call, done in job.calls if call == "advance"]
     assert advanced == list(range(saved + 2, 14, 2))
     assert (("begin", 0) in job.calls) == (saved == 0)
+
+
+@pytest.mark.parametrize(
+    ("moment", "kept"),
+    [
+        (("begin", 0), "nothing yet"),
+        (("advance", 6), "60 of 120 steps (50 %)"),
+        (("evaluate", 6), "60 of 120 steps (50 %)"),
+        (("finish", 12), "120 of 120 steps (100 %)"),
+    ],
+)
+def test_ctrl_c_loses_nothing(whole, tmp_path, capsys, moment, kept):
+    run = tmp_path / "run"
+    with pytest.raises(base.Stopped) as stop:
+        loop.run(Job(stop_at=moment), Options(run=run))
+    assert str(stop.value) == f"{run} keeps {kept}"
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    # What it has learned so far can be used.
+    if moment[1]:
+        _, meta = policies.load(policies.find(run, "high"), kind="high")
+        assert meta["steps"] == moment[1]
+        assert f"{run} isn't finished: its last checkpoint is taken" in capsys.readouterr().err
+    loop.run(Job(), Options(run=run, resume=True))
+    assert_same(run, whole[0])
+    assert (f"{run} goes on from {kept}" in capsys.readouterr().out) == bool(moment[1])
+    steps = [start.get("step") for start in run_folder.read_starts(run)]
+    assert steps == [moment[1] or None, 12 if moment[1] < 12 else None]
+
+
+def test_the_clock_saves_where_the_options_do_not(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "SECONDS_BETWEEN_SAVES", 0.0)
+    monkeypatch.setattr(loop, "_SAVING_SHARE", 1e9)
+    watched = []
+    run = tmp_path / "run"
+    loop.run(
+        Job(),
+        Options(run=run),
+        lambda path: watched.append(checkpoint.last_step(path / "checkpoints")),
+    )
+    assert watched == [2, 4, 6, 8, 10, 12]
+    assert_same(run, whole[0])
 
 
 def test_a_longer_run_goes_on_from_the_end_of_the_shorter(whole, tmp_path):

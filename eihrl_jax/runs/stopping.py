@@ -1,0 +1,52 @@
+"""Ctrl-C while a run trains: the piece of work that is under way is ended and kept first."""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from types import FrameType
+
+_NOTICE = b"\nstopping as soon as this piece is done and kept; Ctrl-C again stops at once\n"
+
+
+class Stop:
+    """Whether the user has asked for an end.
+
+    Attributes:
+      is_asked: set by the first Ctrl-C.
+    """
+
+    def __init__(self) -> None:
+        """Nobody has asked yet."""
+        self.is_asked = False
+
+
+@contextlib.contextmanager
+def deferred() -> Iterator[Stop]:
+    """Turns the first Ctrl-C in the block into a wish that the block looks at when it can.
+
+    The second one interrupts as always. Outside of the main thread, and where a process ignores
+    Ctrl-C, nothing changes.
+    """
+    stop = Stop()
+    before = signal.getsignal(signal.SIGINT)
+    is_main = threading.current_thread() is threading.main_thread()
+    # A shell starts what runs in its background with Ctrl-C ignored.
+    if not is_main or before is None or before == signal.SIG_IGN:
+        yield stop
+        return
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        stop.is_asked = True
+        signal.signal(signal.SIGINT, before)
+        # Past Python's buffers: the signal may have come while one of them is being written.
+        os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, _NOTICE)
+
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, before)
