@@ -206,11 +206,18 @@ class PegA2C:
         return env_state, self._batch(decisions, end_value, cut_value), _counts(decisions)
 
     def collect_episode(
-        self, params: base.Params, key: Key[Array, ""]
+        self, params: base.Params, key: Key[Array, ""], *, greedy: bool = False
     ) -> tuple[base.EnvState, Batch, Counts]:
-        """Lets one worker act for one episode from its start; returns what `collect` does."""
+        """Lets one worker act for one episode from its start; returns what `collect` does.
+
+        Args:
+          params: parameters of the network.
+          key: consumed.
+          greedy: take the most likely subgoals instead of samples, which learning needs.
+        """
         reset_key, act_key = jax.random.split(key)
-        env_state, _, decisions = self._decide(params, self.env.reset(reset_key), act_key)
+        start = self.env.reset(reset_key)
+        env_state, _, decisions = self._decide(params, start, act_key, greedy=greedy)
         # A whole episode ends by its goals or its time limit: nothing is expected beyond either.
         nothing = jnp.float32(0.0)
         return env_state, self._batch(decisions, nothing, nothing), _counts(decisions)
@@ -257,7 +264,12 @@ class PegA2C:
         return total
 
     def _decide(
-        self, params: base.Params, env_state: base.EnvState, key: Key[Array, ""]
+        self,
+        params: base.Params,
+        env_state: base.EnvState,
+        key: Key[Array, ""],
+        *,
+        greedy: bool = False,
     ) -> tuple[base.EnvState, Obs | None, Decision]:
         """Lets one worker make its decisions.
 
@@ -270,7 +282,8 @@ class PegA2C:
         def decide(carry, step_key):
             env_state, is_running, cut_obs = carry
             logits, value = self._forward(params, env_state.obs)
-            action = jax.random.categorical(step_key, logits).astype(jnp.int32)
+            drawn = logits.argmax() if greedy else jax.random.categorical(step_key, logits)
+            action = drawn.astype(jnp.int32)
             following = self.env.step(env_state, action)
             decision = Decision(
                 obs=env_state.obs,

@@ -31,6 +31,8 @@ def to_json(config: Any) -> str:
 def from_json(config_type: type[ConfigT], text: str, *, source: str = "config") -> ConfigT:
     """Builds a config from JSON text; options that the text leaves out keep their defaults.
 
+    Names in a dataclass's `RETIRED` are passed over: options that it had once.
+
     Args:
       config_type: the dataclass to build.
       text: what `to_json` returned.
@@ -110,8 +112,11 @@ def _build_dataclass(annotation: Hint, value: Json, name: str) -> Any:
         raise base.UserError(f"{name} = {value!r} must be an object of options")
     hints = typing.get_type_hints(annotation)  # limits left out: the class checks them itself
 
-    # A misspelled option would else keep its default without a word.
+    # A misspelled option would else keep its default without a word; what a class has had once and
+    # has no more is passed over.
     known = [field.name for field in dataclasses.fields(annotation) if field.init]
+    retired = getattr(annotation, "RETIRED", ())
+    value = {key: item for key, item in value.items() if key not in retired}
     unknown = [key for key in value if key not in known]
     if unknown:
         raise base.UserError(f"{name}: unknown option {unknown[0]!r}; known: {', '.join(known)}")

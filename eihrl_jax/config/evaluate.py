@@ -44,7 +44,8 @@ class EvaluateConfig:
       seeds: of the evaluation's random numbers; each runs all episodes anew.
       out: folder of the results; must be new or empty.
       num_decisions: time limit in subgoals; none: each maze's own (paper, Table 3 divided by 25).
-      greedy: take the most likely direction instead of a sample.
+      greedy: take the most likely direction, also where the high level's preset takes a sample.
+      sampled: take a sample, also where the high level's preset takes the most likely direction.
       step: units that oracle movement goes per subgoal.
       sigma: standard deviation in units and per axis of the oracle's random offset.
       anchored: subgoals count from the middle of the robot's cell; none: as in the high level's own
@@ -72,6 +73,7 @@ class EvaluateConfig:
     out: pathlib.Path = pathlib.Path("runs/evaluation")
     num_decisions: Annotated[int, limits.Range(1, 10_000)] | None = None
     greedy: bool = False
+    sampled: bool = False
     step: float = base.CELL
     sigma: float = base.SIGMA
     anchored: bool | None = None
@@ -85,6 +87,8 @@ class EvaluateConfig:
         """Checks how the options fit together."""
         checks.measured_alone(self.measured, self.step, self.sigma)
         self._check_movement()
+        if self.greedy and self.sampled:
+            raise base.UserError("greedy and sampled exclude each other: give one, or none")
         # Low levels belong to robots by their order.
         if self.low and len(self.low) != len(self.robot):
             raise base.UserError(

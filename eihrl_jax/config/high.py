@@ -5,7 +5,7 @@ whose sources are named option by option (see also `presets`).
 """
 
 import pathlib
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from eihrl_jax import base
 from eihrl_jax.config import checks, limits
@@ -78,31 +78,30 @@ class Network:
     """Kind and sizes of the actor-critic (paper, Figure 8 gives no sizes).
 
     Attributes:
-      kind: patch: dense layers over tiles of the view; planner: value iteration on the map; search:
-        shortest ways on the map.
+      kind: patch: dense layers over tiles of the view; search: shortest ways on the map.
       tile: side in pixels of the tiles that the first layer looks at; divides the view.
       tile_features: outputs of the first layer per tile.
       hidden: widths of the dense layers that follow.
-      num_iterations: of planner and search, cells that values travel; search travels any number
-        once it is trained.
+      num_iterations: of search, length in moves of the longest way that training looks at; once
+        trained, it goes any way.
       look_ahead: of search, cells into the unseen that count for what going there is worth.
-      cell_features: of planner and search, width of the layer that looks at a cell.
-      value_features: of both, width of the layer before the value.
-      around: of both, what they look at beside a cell itself: nothing, the four cells at its sides,
-        or also the four at its corners.
-      optimism: of the planner, first worth of what hasn't been seen.
+      cell_features: of search, width of the layer that looks at a cell.
+      value_features: of search, width of the layer before the value.
+      around: of search, what it looks at beside a cell itself: nothing, the four cells at its
+        sides, or also the four at its corners.
     """
 
-    kind: Literal["patch", "planner", "search"] = "patch"
+    kind: Literal["patch", "search"] = "patch"
     tile: Annotated[int, limits.Range(1, 256)] = 5  # one cell at five pixels per cell
     tile_features: Annotated[int, limits.Range(1, 1024)] = 16
     hidden: limits.Widths = (128,)
     num_iterations: Annotated[int, limits.Range(0, 1000)] = 24
-    look_ahead: Annotated[int, limits.Range(0, 100)] = 8
+    look_ahead: Annotated[int, limits.Range(0, 100)] = 3
     cell_features: Annotated[int, limits.Range(1, 1024)] = 8
     value_features: Annotated[int, limits.Range(1, 4096)] = 32
     around: Literal["nothing", "sides", "corners"] = "sides"
-    optimism: Annotated[float, limits.Range(0.0, 100.0)] = 1.0
+
+    RETIRED: ClassVar = ("optimism",)  # of value iteration networks, which search has replaced
 
 
 @limits.dataclass
@@ -157,7 +156,8 @@ class HighConfig:
       learner: numbers of PEG-A2C.
       log_every: updates per row of metrics, and per compiled piece of training.
       evaluate_every: updates between evaluations; a multiple of `log_every`.
-      num_eval_episodes: episodes per evaluation, in the training maze, subgoals sampled.
+      num_eval_episodes: episodes per evaluation, in the training maze.
+      greedy: outside of learning, take the most likely subgoal instead of a sample.
       checkpoint_every: updates between checkpoints; a multiple of `log_every`.
       num_devices: devices of each process that share the workers; None: as many as can share
         them evenly. On CPU a core is a device.
@@ -181,6 +181,7 @@ class HighConfig:
     log_every: int = 100
     evaluate_every: int = 1000
     num_eval_episodes: limits.UpToMillion = 500
+    greedy: bool = False
     checkpoint_every: int = 1000
     num_devices: Annotated[int, limits.Range(1, 1024)] | None = None
     coordinator: str | None = None
@@ -196,7 +197,7 @@ class HighConfig:
         if (self.network.kind == "patch") != (self.task.map_radius == 0):
             raise base.UserError(
                 f"network kind = {self.network.kind!r} doesn't fit map_radius = "
-                f"{self.task.map_radius}: a patch takes no map, planner and search need one"
+                f"{self.task.map_radius}: a patch takes no map, search needs one"
             )
 
         # The pieces in which training is compiled: all else happens between two of them.

@@ -133,8 +133,9 @@ def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> li
     whole = [name for name in options.high if baselines.is_baseline(name)]
     if whole and "full" not in options.movement:
         raise base.UserError(f"{whole[0]} is a baseline, which walks: it needs --movement full")
+    greedy = options.greedy if options.greedy or options.sampled else None
     highs = [
-        loading.load_high(name, greedy=options.greedy, knows=options.knows)
+        loading.load_high(name, greedy=greedy, knows=options.knows)
         for name in options.high
         if name not in whole
     ]

@@ -88,13 +88,15 @@ class RecordableOracle:
         )
 
 
-def load_high(name: str, *, greedy: bool = False, knows: base.Knows | None = None) -> HighLevel:
+def load_high(
+    name: str, *, greedy: bool | None = None, knows: base.Knows | None = None
+) -> HighLevel:
     """Loads a high level.
 
     Args:
       name: run folder, policy folder or shipped name; "uniform" for uniform directions; "frontier"
         for the nearest cell that hasn't been seen; "shortest" for the shortest way to a goal.
-      greedy: take the most likely direction instead of a sample.
+      greedy: take the most likely direction instead of a sample; None: as its preset says.
       knows: what is on its map from the start; None: as in its training.
 
     Raises:
@@ -131,6 +133,10 @@ def load_high(name: str, *, greedy: bool = False, knows: base.Knows | None = Non
     takes_any_map = isinstance(network, search.SearchActorCritic)
     if takes_any_map:
         network = network.clone(num_moves=None)
+
+    # Policies from before presets chose don't say.
+    if greedy is None:
+        greedy = meta.get("greedy", False) is True
 
     # A pytree of the parameters: policies that differ in them alone share what is compiled.
     policy = jax.tree_util.Partial(_Learned(network, greedy), params)

@@ -3,19 +3,11 @@
 import flax.linen as nn
 
 from eihrl_jax.config import high
-from eihrl_jax.networks import patch_actor_critic, planner, search
+from eihrl_jax.networks import patch_actor_critic, search
 
 
 def make(options: high.Network) -> nn.Module:
     """Builds the network, which maps what the high level sees to logits and a value."""
-    if options.kind == "planner":
-        return planner.PlanningActorCritic(
-            options.num_iterations,
-            options.cell_features,
-            options.value_features,
-            options.around,
-            options.optimism,
-        )
     if options.kind == "search":
         return search.SearchActorCritic(
             options.num_iterations,

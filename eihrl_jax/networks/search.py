@@ -1,8 +1,9 @@
 """Policy and value of the high level from a map, by shortest ways to what is worth most on it.
 
-Something is worth going for only where nothing has been seen yet, or where a goal waits. How much,
-counted in moves, is learned from the cell and those around it, and from how far the unseen goes on
-behind it. Of all that is left, the robot goes for what is worth most less the moves to get there.
+Something is worth going for only where nothing has been seen yet, or where a goal waits. A goal on
+the map comes first. How much the unseen is worth, counted in moves, is learned from the cell and
+those around it, and from how far the unseen goes on behind it. Of all that is left, the robot goes
+for what is worth most less the moves to get there.
 
 So there are no traps and no horizon: with any weights, each move comes one nearer to something that
 is new, and every goal that can be reached is reached (docs/planning.md). No weight knows where on
@@ -14,7 +15,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from eihrl_jax.networks import planner
 from eihrl_jax.ops import planning
 
 _OPEN = 3.0
@@ -23,8 +23,9 @@ _OPEN = 3.0
 _FAINT = 0.03
 """Scale of the last layer's first weights: at first all that is unseen is worth the same."""
 
-_GOAL = 2.0
-"""Logarithm of a goal's first worth over an unseen cell's: that goals pay is known."""
+_GOAL = 1e5
+"""What a goal is worth, in moves: more than anything unseen, however far it is. That goals pay is
+known; that one in sight comes first, wherever else there is something new, is ours."""
 
 _LOG_BOUND = 10.0
 """Greatest size of a worth's logarithm, so that all worths are finite."""
@@ -78,7 +79,7 @@ class SearchActorCritic(nn.Module):
 
     def _cells(self, grid: Float[Array, "C n m"]) -> Float[Array, "n m F"]:
         """Returns what the hidden layer makes of each cell and those around it."""
-        features = jnp.moveaxis(planner.look_around(grid, self.around), 0, -1)
+        features = jnp.moveaxis(_look_around(grid, self.around), 0, -1)
         init = nn.initializers.orthogonal(2**0.5)
         return nn.relu(nn.Dense(self.cell_features, kernel_init=init, name="cells")(features))
 
@@ -91,18 +92,15 @@ class SearchActorCritic(nn.Module):
         """Returns what going to each cell is worth, in moves."""
         init = nn.initializers.orthogonal(_FAINT)
         outputs = nn.Dense(2, kernel_init=init, name="worths")(hidden)
-        goal_worth = self.param("goal", nn.initializers.constant(_GOAL), ())
-        log_reward = outputs[..., 0] + jnp.where(goal, goal_worth, 0.0)
-        reward = jnp.exp(jnp.clip(log_reward, -_LOG_BOUND, _LOG_BOUND))
+        reward = jnp.exp(jnp.clip(outputs[..., 0], -_LOG_BOUND, _LOG_BOUND))
 
         # Values travel through the unseen alone: what is seen has no worth that could hold a robot.
-        is_worth_it = unseen | goal
         gate = jnp.where(unseen, nn.sigmoid(outputs[..., 1] + _OPEN), 0.0)
-        sums = planning.value_iteration(jnp.where(is_worth_it, reward, 0.0), gate, self.look_ahead)
+        sums = planning.value_iteration(jnp.where(unseen, reward, 0.0), gate, self.look_ahead)
 
         moves = self.param("moves_per_worth", nn.initializers.constant(4.0), ())
-        logs = jnp.log(jnp.where(is_worth_it, sums, 1.0))
-        return jnp.where(is_worth_it, moves * logs, planning.NOWHERE)
+        logs = jnp.log(jnp.where(unseen, sums, 1.0))
+        return jnp.where(goal, _GOAL, jnp.where(unseen, moves * logs, planning.NOWHERE))
 
     def _around(
         self,
@@ -127,7 +125,8 @@ class SearchActorCritic(nn.Module):
     ) -> Float[Array, ""]:
         """Returns the value, from means over the map and the way to what the robot goes for."""
         wall, goal, _, unseen = (chart[..., channel] for channel in range(4))
-        near = jnp.clip(best, -_FARTHEST, _FARTHEST)
+        near = jnp.where(best > _GOAL / 2.0, best - _GOAL, best)
+        near = jnp.clip(near, -_FARTHEST, _FARTHEST)
         scalars = [
             near / _FARTHEST,
             jnp.exp(near / (_FARTHEST / 2.0)),
@@ -141,3 +140,15 @@ class SearchActorCritic(nn.Module):
         # A first value of zero: without a reward no advantage, so nothing is unlearned by chance.
         init = nn.initializers.orthogonal(0.01)
         return nn.Dense(1, kernel_init=init, name="value")(seen)[0]
+
+
+def _look_around(grid: Float[Array, "C n m"], around: str) -> Float[Array, "F n m"]:
+    """Adds to each cell the sums over those at its sides, and at its corners, as `around` says."""
+    east, west, north, south = planning.neighbours(grid)
+    features = [grid]
+    if around != "nothing":
+        features.append(east + west + north + south)
+    if around == "corners":
+        _, _, above, below = planning.neighbours(east + west)
+        features.append(above + below)
+    return jnp.concatenate(features)

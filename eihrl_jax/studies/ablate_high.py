@@ -26,22 +26,24 @@ VARIANTS: dict[str, dict[str, object]] = {
 }
 """What is changed, one thing at a time, by name; the presets have an epsilon of 0.3 units."""
 
-PLANNER_VARIANTS: dict[str, dict[str, object]] = {
+SEARCH_VARIANTS: dict[str, dict[str, object]] = {
     "preset": {},
     "epsilon 0": {"task.sigma": 0.0},
-    "no optimism": {"network.optimism": 0.0},
+    "not anchored": {"task.anchored": False},
+    "sampled": {"greedy": False},
+    "no look-ahead": {"network.look_ahead": 0},
+    "look-ahead 8": {"network.look_ahead": 8},
     "cells alone": {"network.around": "nothing"},
     "corners too": {"network.around": "corners"},
     "entropy 0.02": {"learner.entropy": 0.02},
     "view of 9 units": {"task.extent": 9.0, "task.pixels": 15},
 }
-"""The same for presets that plan on a map, which see no postures."""
+"""The same for presets that search a map, which see no postures."""
 
 
 def variants(preset: str) -> dict[str, dict[str, object]]:
     """Returns what is changed of a preset."""
-    plans = presets.HIGH[preset].network.kind == "planner"
-    return PLANNER_VARIANTS if plans else VARIANTS
+    return SEARCH_VARIANTS if presets.HIGH[preset].network.kind == "search" else VARIANTS
 
 
 @limits.dataclass
@@ -54,7 +56,7 @@ class AblationConfig:
     all variants that are there.
 
     Attributes:
-      preset: of `train_high`; `paper` has 64 workers and sees postures, `best` plans on a map.
+      preset: of `train_high`; `paper` has 64 workers and sees postures, `best` searches a map.
       variants: what to train; default: everything, which depends on the preset.
       seeds: of the training runs of each variant.
       num_updates: of each run, a multiple of the preset's `log_every`; None: the preset's.

@@ -20,8 +20,7 @@ _Maze = Annotated[str, limits.OneOf(mazes.NAMES)]
 class PoliciesConfig:
     """Trains high levels, each preset in each maze with each seed.
 
-    A run that the folder already holds is continued, or taken as it is if it is finished. The
-    generalist has random rooms of its own and is trained once per seed.
+    A run that the folder already holds is continued, or taken as it is if it is finished.
 
     Attributes:
       presets: of `train_high`.
@@ -53,16 +52,14 @@ def main(config: PoliciesConfig) -> None:
 def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
     """Lists the options of all runs with one seed."""
     runs = []
-    for name, reward in itertools.product(config.presets, config.rewards):
-        preset = presets.HIGH[name]
-        for maze in ("rooms",) if preset.task.num_rooms else config.mazes:
-            # The name is what the report looks for.
-            run = config.out / cached_runs.name(name, maze, reward, seed)
-            own = {"task.reward": reward, "seed": seed, "run": run, "resume": True}
-            # Who is trained in random rooms must name no maze.
-            if not preset.task.num_rooms:
-                own["task.maze"] = maze
-            runs.append(changes.apply(preset, own))
+    kinds = itertools.product(config.presets, config.rewards, config.mazes)
+    for name, reward, maze in kinds:
+        # The name is what the report looks for.
+        run = config.out / cached_runs.name(name, maze, reward, seed)
+        task = {"task.reward": reward, "task.maze": maze}
+        runs.append(
+            changes.apply(presets.HIGH[name], {**task, "seed": seed, "run": run, "resume": True})
+        )
     return runs
 
 

@@ -1,6 +1,7 @@
 """Training of the high level: PEG-A2C in a maze with oracle movement (paper, Sec. 3.2 and 4.1)."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
@@ -112,7 +113,7 @@ class _Job(loop.Job[LearnerState]):
         return update.lower(state).compile()
 
     def compile_evaluation(self, state: LearnerState) -> loop.Evaluate[LearnerState]:
-        """Compiles whole episodes in each environment, subgoals sampled."""
+        """Compiles whole episodes in each environment, subgoals chosen as in use."""
         measures = {
             prefix: self._compile_measure(env, state) for prefix, env in self.evaluated_in.items()
         }
@@ -144,7 +145,8 @@ class _Job(loop.Job[LearnerState]):
             keys = jax.random.split(
                 jax.random.fold_in(stream, num_updates), config.num_eval_episodes
             )
-            _, _, counts = jax.vmap(agent.collect_episode, (None, 0))(params, keys)
+            collect = functools.partial(agent.collect_episode, greedy=config.greedy)
+            _, _, counts = jax.vmap(collect, (None, 0))(params, keys)
             return jax.tree.map(jnp.sum, counts)
 
         return jax.jit(measure).lower(*_local((state.params, state.num_updates))).compile()
@@ -162,6 +164,7 @@ class _Job(loop.Job[LearnerState]):
             "robot": robots.load(task.robot).name,
             "view": dataclasses.asdict(self.env.view),
             "network": dataclasses.asdict(self.config.network),
+            "greedy": self.config.greedy,
             "movement": {
                 "step": self.env.movement.step,
                 "sigma": self.env.movement.sigma,

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from eihrl_jax import base
 from eihrl_jax.mazes import paths
 from eihrl_jax.networks import search
-from tests.networks.test_planner import charts, directions_after
 
 MARGIN = 3
 SIDE = 31 + 2 * MARGIN
@@ -20,6 +19,22 @@ SIDE = 31 + 2 * MARGIN
 
 NETWORK = search.SearchActorCritic(num_moves=None, look_ahead=3, cell_features=4, value_features=4)
 DIRECTIONS_IJ = [(-int(y), int(x)) for x, y in base.DIRECTIONS_XY]
+
+
+def charts(num, size=7):
+    """Draws maps of anything."""
+    return jax.random.bernoulli(jax.random.key(0), 0.4, (num, size, size, 4))
+
+
+def directions_after(change):
+    """Returns for each direction the index of the one that it becomes on a changed map."""
+    found = []
+    for x, y in base.DIRECTIONS_XY:
+        grid = np.zeros((3, 3))
+        grid[1 - int(y), 1 + int(x)] = 1.0
+        i, j = np.argwhere(change(grid))[0]
+        found.append([tuple(d) for d in base.DIRECTIONS_XY].index((j - 1, 1 - i)))
+    return found
 
 
 @functools.cache
@@ -126,20 +141,37 @@ def test_a_choice_means_the_same_near_and_far():
     np.testing.assert_allclose(east - west, 2.0 * (east - north), rtol=1e-4)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_an_untrained_network_heads_for_what_it_has_not_seen_and_first_for_a_goal(seed):
+    """Walls all around but for gaps in the south and, after a longer way, in the west."""
+    chart = np.zeros((11, 11, 4), bool)
+    chart[2:9, 2:9, 0] = True
+    chart[3:8, 3:8, 0] = False
+    chart[5, 5, 2] = True
+    chart[8, 5, 0] = chart[3, 2, 0] = False
+    chart[..., 3] = True
+    chart[2:9, 2:9, 3] = False
+    params = NETWORK.init(jax.random.key(seed), jnp.asarray(chart))
+    apply = jax.jit(NETWORK.apply)
+    assert jax.nn.softmax(apply(params, chart)[0])[3] > 0.5
+    chart[2, 7, :2] = False, True  # a goal in the wall to the north
+    assert jnp.argmax(apply(params, chart)[0]) in (0, 2)
+
+
 def test_where_nothing_is_left_all_directions_are_alike():
     chart = jnp.zeros((SIDE, SIDE, 4), bool).at[4, 4, 2].set(True)
     logits, value = NETWORK.apply(_init(), chart)
     assert not logits.any() and jnp.isfinite(value)
 
 
-@pytest.mark.parametrize("turns", range(4))
-@pytest.mark.parametrize("is_mirrored", [False, True])
-def test_logits_turn_and_mirror_with_the_map(turns, is_mirrored):
+@pytest.mark.parametrize("around", ["nothing", "sides", "corners"])
+@pytest.mark.parametrize(("turns", "is_mirrored"), [(1, False), (2, True)])
+def test_logits_turn_and_mirror_with_the_map(turns, is_mirrored, around):
     def change(grid):
         return np.rot90(grid[:, ::-1] if is_mirrored else grid, turns)
 
     batch = charts(6, 9).at[..., 2].set(False).at[:, 4, 4, 2].set(True)
-    network = search.SearchActorCritic(num_moves=8, look_ahead=3, around="corners")
+    network = search.SearchActorCritic(num_moves=8, look_ahead=3, around=around)
     params = network.init(jax.random.key(1), batch[0])
     apply = jax.jit(jax.vmap(network.apply, (None, 0)))
     logits, values = apply(params, batch)

@@ -21,13 +21,13 @@ from eihrl_jax.studies import ablate_high, train_policies
 from eihrl_jax.training import high
 
 
-def tiny(name, kind="planner", **task):
-    """Returns a preset of a few updates that plans on a small map."""
+def tiny(name, **task):
+    """Returns a preset of a few updates that searches a small map."""
     return high_config.HighConfig(
         preset=name,
         task=high_config.Task(map_radius=2, robot="point", **task),
         network=high_config.Network(
-            kind=kind, num_iterations=3, look_ahead=2, cell_features=2, value_features=2
+            kind="search", num_iterations=3, look_ahead=2, cell_features=2, value_features=2
         ),
         learner=high_config.Learner(num_workers=4, window=24, num_updates=5),
         log_every=1,
@@ -87,7 +87,7 @@ def work(request, monkeypatch):
 def trained(tmp_path_factory):
     """Returns the folder of high levels from tiny presets; the first is trained, others copy it."""
     out = tmp_path_factory.mktemp("policies")
-    first, train = out / "generalist-rooms-0", high.train
+    first, train = out / "best-random-0", high.train
 
     def train_first(options):
         if options.run == first:
@@ -97,11 +97,10 @@ def trained(tmp_path_factory):
             (options.run / "config.json").write_text(codec.to_json(options))
 
     with pytest.MonkeyPatch.context() as patch:
-        rooms = tiny("generalist", "search", num_rooms=3, room_sides=(4, 6))
-        patch.setattr(presets, "HIGH", {"best": tiny("best"), "generalist": rooms})
+        patch.setattr(presets, "HIGH", {name: tiny(name) for name in ("best", "paper")})
         patch.setattr(high, "train", train_first)
         options = train_policies.PoliciesConfig(
-            presets=("generalist", "best"), mazes=("random", "u"), seeds=(0, 1), out=out
+            presets=("best", "paper"), mazes=("random", "u"), seeds=(0, 1), out=out
         )
         train_policies.main(options)
         times = {path: path.stat().st_mtime_ns for path in out.glob("*/policy/meta.json")}
@@ -110,13 +109,13 @@ def trained(tmp_path_factory):
     return out
 
 
-def test_every_preset_is_trained_in_every_maze_and_the_generalist_in_rooms(trained):
-    assert sorted(path.name for path in trained.iterdir()) == sorted(
-        [f"best-{maze}-{seed}" for maze in ("random", "u") for seed in (0, 1)]
-        + [f"generalist-rooms-{seed}" for seed in (0, 1)]
-    )
-    _, meta = policies.load(policies.find(trained / "generalist-rooms-1", "high"), kind="high")
-    assert meta["maze"] == "3 random rooms"
+def test_every_preset_is_trained_in_every_maze(trained):
+    names = itertools.product(("best", "paper"), ("random", "u"), (0, 1))
+    assert sorted(path.name for path in trained.iterdir()) == [
+        f"{preset}-{maze}-{seed}" for preset, maze, seed in names
+    ]
+    _, meta = policies.load(policies.find(trained / "best-random-1", "high"), kind="high")
+    assert meta["maze"] == "random"
     assert meta["network"]["kind"] == "search" and meta["view"]["map_radius"] == 2
 
 
@@ -153,7 +152,7 @@ def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, work, tmp_pat
     assert text.count("<table>") == 4 and text.count("<img") >= 3
     lines = (tmp_path / "tables.md").read_text()
     assert "| paper, oracle | 66.4 ± 5.4 | 72.0 ± 6.3 | 58.4 ± 8.3 | 84.8 ± 6.6 |" in lines
-    assert "| ours, generalist, oracle |" in lines and "as in the paper" not in lines
+    assert "| ours, as in the paper, oracle |" in lines
     times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("eval.json")}
     assert len(times) == 7
     report.main(dataclasses.replace(options, parts=("table1",)))
@@ -180,16 +179,25 @@ def test_every_part_of_the_report_has_its_rows(trained, tmp_path, monkeypatch):
         for title, text in zip(tables[1::2], tables[2::2], strict=True)
     }
     walked = ["oracle", "walking"]
-    best, generalist, uniform = (
+    best, ours, uniform, squares = (
         [f"{label}, {movement}" for movement in walked]
-        for label in ("ours, best", "ours, generalist", "RAND-H")
+        for label in (
+            "ours, best",
+            "ours, as in the paper",
+            "RAND-H",
+            "ours, best, trained in the square",
+        )
     )
     published = ["paper, oracle", "paper, walking", "paper, HIGL"]
-    assert labels["Table 1"] == [*published, *best, *generalist, *uniform]
-    assert labels["U, S and Spiral"] == best
-    assert labels["Table 2, Maze-U"] == ["paper, oracle", "paper, HIGL", *best, "HIGL, walking"]
-    # Only in U was anything trained.
-    assert labels["How their episodes ended"] == best
+    assert labels["Table 1"] == [*published, *best, *ours, *uniform]
+    assert labels["U, S and Spiral"] == [*best, *ours, *squares]
+    assert labels["Table 2, Maze-U"] == [
+        *("paper, oracle", "paper, HIGL"),
+        *(*best, *ours, "HIGL, walking"),
+    ]
+    # A row for each maze: the others were trained in U alone.
+    thrice = [label for label in squares for _ in range(3)]
+    assert labels["How their episodes ended"] == [*best, *ours, *thrice]
     humanoid = results.load(tmp_path / "evaluations" / "table2-best-humanoid-full" / "eval.json")
     assert {cell.num_episodes for cell in humanoid.cells} == {2}
     page = (tmp_path / "report.html").read_text()

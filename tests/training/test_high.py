@@ -135,8 +135,8 @@ def test_values_look_beyond_the_limit_where_the_reward_is_dense(tmp_path, reward
         (high_config.HighConfig, {"network": high_config.Network(tile=4)}, "tile = 4 must divide"),
         (
             high_config.HighConfig,
-            {"network": high_config.Network(kind="planner")},
-            "planner and search need one",
+            {"network": high_config.Network(kind="search")},
+            "a patch takes no map, search needs one",
         ),
     ],
 )
