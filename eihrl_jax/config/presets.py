@@ -27,8 +27,7 @@ def low_best() -> low_config.LowConfig:
 
     The world is turned into the direction's frame and the robot renamed to face it; the robot knows
     how far it has come and how much time is left, is paid for coming nearer to the point one cell
-    ahead, a quarter of its rooms are corridors and half of the others have inner walls. Many
-    environments run at once.
+    ahead, and half of its rooms have inner walls. Many environments run at once.
     """
     return low_config.LowConfig(
         preset="best",
@@ -40,7 +39,6 @@ def low_best() -> low_config.LowConfig:
         capacity=640_000,
         relabel_share=0.5,
         num_rooms=256,
-        corridor_share=0.25,
         low_input=low_config.LowInput(frame="canonical", use_progress=True, velocity_scale=0.1),
         reward=low_config.LowReward(lateral_weight=1.0, beyond_cell=-1.0),
         droq=low_config.Droq(actor_period=2, temperature=0.02, average_rate=0.002),

@@ -4,11 +4,61 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from eihrl_jax import base
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import tree
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import walls
+from eihrl_jax.physics import kinematics, posture, walls
 from eihrl_jax.robots import robot as robot_lib
+
+MAX_VELOCITY = 1e4
+"""Metres or radians per second beyond which a simulation has broken down."""
+
+_NUM_STARTS = 16
+"""Postures from which one without a part in a wall is chosen."""
+
+_START_SHIFT = 0.5
+"""How far from the middle of its cell a robot is moved to be clear of walls, units."""
+
+_MARGIN = 0.1
+"""Units by which noise on joints may make a start posture longer."""
+
+
+def draw_start(
+    engine: engine_lib.Engine,
+    maze: maze_lib.Maze,
+    xy: Float[Array, "2"],
+    key: Key[Array, ""],
+    jitter: float,
+) -> engine_lib.PhysicsState:
+    """Returns the robot as `draw_pose` does, but no part of it in a wall.
+
+    Where there is too little room for the first pose that is drawn, others are tried, turned and
+    moved inside the cell; where there is too little for all, the least deep is taken.
+
+    Args:
+      engine: the robot's.
+      maze: the maze, its door drawn.
+      xy: where it is to stand, units.
+      key: consumed.
+      jitter: how far `xy` may be from the middle of its cell along an axis, units.
+    """
+    robot, model = engine.robot, engine.model
+    extent = posture.farthest(model, model.key_qpos[0]) * robot.units_per_metre + _MARGIN
+    if extent + jitter < base.CELL / 2:
+        return draw_pose(engine, xy, key)
+
+    keys = jnp.stack([key, *(jax.random.fold_in(key, i) for i in range(1, _NUM_STARTS))])
+    shift = jax.random.uniform(key, (_NUM_STARTS, 2), minval=-_START_SHIFT, maxval=_START_SHIFT)
+    centre_xy = maze_lib.cell_xy(maze_lib.cell_ij(xy))
+    places = (centre_xy[None] + shift).at[0].set(xy)
+    poses = jax.vmap(draw_pose, in_axes=(None, 0, 0))(engine, places, keys)
+
+    # The first one of those that are least deep in a wall, which most often is the very first.
+    to_capsules = kinematics.capsules(model, robot.units_per_metre)
+    depth = jax.vmap(lambda qpos: walls.depth(maze, qpos[:2], to_capsules(qpos)))(poses.qpos)
+    chosen = jnp.argmin(jnp.maximum(depth, 0.0))
+    return jax.tree.map(lambda leaf: leaf[chosen], poses)
 
 
 def draw_pose(
@@ -67,7 +117,10 @@ def advance(
     stepped = engine.step(physics, ctrl, walls_xy, is_running)
     # Controls too: an engine may clip infinite ones, and then nothing else would show.
     numbers = jnp.concatenate([stepped.qpos, stepped.qvel, ctrl])
-    is_broken = is_running & ~jnp.isfinite(numbers).all()
+    is_nonsense = ~jnp.isfinite(numbers).all() | (jnp.abs(stepped.qvel) > MAX_VELOCITY).any()
+    # Farther, it may have come through a wall that wasn't there yet.
+    travel = jnp.abs(stepped.qpos[:2] - physics.qpos[:2]).max()
+    is_broken = is_running & (is_nonsense | (travel > engine.robot.max_travel))
     return tree.where(is_broken, physics, stepped), is_broken
 
 

@@ -80,6 +80,7 @@ class GoalMaze:
         # The task counts each of our steps as a decision.
         limit = mazes.num_decisions * self.robot.steps_per_subgoal
         self.table = task.prepare(mazes.replace(num_decisions=limit))
+        self._jitter = float(self.table.mazes.start_jitter.max())
 
     @property
     def side_xy(self) -> tuple[int, int]:
@@ -95,7 +96,9 @@ class GoalMaze:
         no = jnp.zeros((), bool)
         inner = GoalMazeState(
             nav=nav,
-            physics=body_lib.draw_pose(self._engine, xy, pose_key),
+            physics=body_lib.draw_start(
+                self._engine, task.drawn_maze(self.table, nav), xy, pose_key, self._jitter
+            ),
             total_reward=jnp.float32(0.0),
             has_fallen=no,
             is_broken=no,

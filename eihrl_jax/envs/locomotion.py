@@ -96,9 +96,13 @@ class Locomotion:
 
         room = jax.random.randint(room_key, (), 0, self._rooms.is_corridor.shape[0])
         start_xy = maze_lib.draw_start(self.room(room), start_key)
+        physics = body_lib.draw_start(
+            self._engine, self.room(room), start_xy, pose_key, rooms_lib.START_JITTER
+        )
+        start_xy = physics.qpos[:2]
         # The first subgoal begins here, with all of its steps left.
         inner = LocomotionState(
-            physics=body_lib.draw_pose(self._engine, start_xy, pose_key),
+            physics=physics,
             room=room,
             subgoal_xy=self._origin(room, start_xy),
             direction=self._draw_direction(room, start_xy, direction_key),

@@ -126,6 +126,7 @@ class PhysicsMaze:
         self._anchored = anchored
         self._reward: base.Reward = reward
         self._engine = engine
+        self._jitter = float(self.table.mazes.start_jitter.max())
         # The silhouette is made of the posture at every decision: no bank could hold them all.
         self._capsules = kinematics.capsules(engine.model, engine.robot.units_per_metre)
 
@@ -151,7 +152,9 @@ class PhysicsMaze:
 
         no = jnp.zeros((), bool)
         body = Body(
-            physics=body_lib.draw_pose(self._engine, xy, pose_key),
+            physics=body_lib.draw_start(
+                self._engine, task.drawn_maze(self.table, nav), xy, pose_key, self._jitter
+            ),
             visited=nav.visited,
             steps_left=jnp.int32(self.robot.steps_per_subgoal),
             is_running=~no,

@@ -19,6 +19,7 @@ from eihrl_jax.evaluation import rollouts
 from eihrl_jax.networks import actor_critic, droq, search
 from eihrl_jax.ops import planning
 from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import scene
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import checkpoint, policies
 
@@ -173,13 +174,21 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
       robot: whose it must be.
 
     Raises:
-      base.UserError: there is none, it is damaged, or another robot's.
+      base.UserError: there is none, it is damaged, or another robot's, or one of another version.
 
     >>> from eihrl_jax import robots
     >>> policy = load_low("point", robots.load("point"))  # from a `LowObs` and a key to controls
     """
     path = policies.find(name, "low")
     params, meta = policies.load(path, kind="low", robot=robot.name)
+
+    # Policies from before there were fingerprints don't say.
+    trained_with = meta.get("fingerprint")
+    if trained_with not in (None, scene.fingerprint(scene.build(robot), robot)):
+        raise base.UserError(
+            f"{path} is a policy of another version of robot {robot.name!r}: its model or its "
+            "times have changed since; train it again"
+        )
 
     # As above: first what the folder says, then whether its parameters fit that.
     options = low_config.LowInput(**policies.entry(meta, "low_input", path))

@@ -1,7 +1,7 @@
 """Both physics engines by name."""
 
-from eihrl_jax import base
-from eihrl_jax.physics import engine, mujoco_engine
+from eihrl_jax import base, robots
+from eihrl_jax.physics import engine, mujoco_engine, trials
 from eihrl_jax.robots import robot as robot_lib
 
 
@@ -14,12 +14,19 @@ def make(robot: robot_lib.Robot, name: str = "mujoco", cell: float | None = None
       cell: side of a wall's box, metres; None: the robot's cell.
 
     Raises:
-      base.UserError: the engine is unknown.
+      base.UserError: the engine is unknown, or walls wouldn't hold the robot.
     """
     if name == "mujoco":
-        return mujoco_engine.MujocoEngine(robot, cell)
+        return _checked(mujoco_engine.MujocoEngine(robot, cell))
     if name == "mjx":
         from eihrl_jax.physics import mjx_engine  # A second to import, and mostly not needed.
 
-        return mjx_engine.MjxEngine(robot, cell)
+        return _checked(mjx_engine.MjxEngine(robot, cell))
     raise base.UserError(f"engine {name!r} is unknown; choose one of {', '.join(base.ENGINES)}")
+
+
+def _checked(made: engine.Engine) -> engine.Engine:
+    """Returns an engine; of a robot that isn't the package's own only after a trial."""
+    if made.robot.mjcf.parent != robots.ASSETS:
+        trials.check(made.model, made.robot)
+    return made

@@ -3,6 +3,7 @@
 The number of boxes depends on the robot's reach alone, so a step costs the same in every maze.
 """
 
+import hashlib
 import warnings
 
 import mujoco
@@ -42,6 +43,27 @@ _CONTACT = {
     "solimp": [0.8, 0.8, 0.01, 0.5, 2.0],
     "density": 1000.0,
 }
+
+
+_MEANING = (
+    *("jnt_type", "jnt_axis", "jnt_range", "dof_damping", "dof_armature", "body_mass", "body_pos"),
+    *("body_quat", "geom_type", "geom_size", "geom_pos", "geom_contype", "actuator_gear"),
+    *("actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "key_qpos", "key_ctrl"),
+)
+"""What of a compiled model a low level has learned to live with."""
+
+
+def fingerprint(model: mujoco.MjModel, robot: robot_lib.Robot) -> str:
+    """Returns a text that changes with a robot's model and with the times of its description.
+
+    Args:
+      model: its scene.
+      robot: its description.
+    """
+    # To four digits, in which versions of MuJoCo agree.
+    numbers = [f"{x:.3e}" for name in _MEANING for x in np.ravel(getattr(model, name)) + 0.0]
+    times = robot.physics_step, robot.num_substeps, robot.steps_per_subgoal
+    return hashlib.sha256(repr((numbers, times)).encode()).hexdigest()[:16]
 
 
 def wall_name(index: int) -> str:

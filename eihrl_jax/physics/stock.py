@@ -75,7 +75,10 @@ def _torso(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     trees = [body for body in spec.worldbody.bodies if not body.mocap]
     if not trees:
         raise ValueError("it has no body that could move")
-    return max(trees, key=lambda body: len(body.find_all("body")))
+    torso = max(trees, key=lambda body: len(body.find_all("body")))
+    if not torso.find_all("geom"):
+        raise ValueError("it has no geom that could be seen or touch anything")
+    return torso
 
 
 def _collide(own: list[mujoco.MjsGeom], spec: mujoco.MjSpec, robot: robot_lib.Robot) -> None:

@@ -4,10 +4,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from eihrl_jax import base
 from eihrl_jax.mazes import maze as maze_lib
-from eihrl_jax.physics import scene
+from eihrl_jax.physics import kinematics, scene
 
 _RING = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+
+
+_AROUND = [(i, j) for i in range(-2, 3) for j in range(-2, 3)]
+
+_NUM_POINTS = 9
+"""Points of a capsule's axis at which its depth is asked for."""
 
 
 def nearby(
@@ -39,3 +46,24 @@ def nearby(
     cell_xy = jax.vmap(maze_lib.cell_xy)(own_ij[None] + offset_ij)
     is_wall = jax.vmap(maze_lib.is_wall, in_axes=(None, 0))(maze, cell_xy)
     return jnp.where(is_wall[:, None], cell_xy, jnp.array([scene.PARKED_XY]))
+
+
+def depth(
+    maze: maze_lib.Maze, xy: Float[Array, "2"], capsules: kinematics.Capsules
+) -> Float[Array, ""]:
+    """Returns how deep the deepest part of a robot is in a wall, units; negative outside of all.
+
+    Args:
+      maze: the maze, its door drawn.
+      xy: the torso's position, units; walls farther than two cells from its own don't count.
+      capsules: the robot's parts, see `kinematics.capsules`.
+    """
+    start, end, radius = capsules
+    share = jnp.linspace(0.0, 1.0, _NUM_POINTS)[:, None, None]
+    points = (1.0 - share) * start[None, :, :2] + share * end[None, :, :2]
+
+    cell_xy = jax.vmap(maze_lib.cell_xy)(maze_lib.cell_ij(xy)[None] + jnp.array(_AROUND))
+    is_wall = jax.vmap(maze_lib.is_wall, in_axes=(None, 0))(maze, cell_xy)
+    beyond = jnp.maximum(jnp.abs(points[:, :, None] - cell_xy[None, None]) - base.CELL / 2, 0.0)
+    distance = jnp.where(is_wall, jnp.sqrt(jnp.square(beyond).sum(-1)), jnp.inf)
+    return (radius[None] - distance.min(-1)).max()

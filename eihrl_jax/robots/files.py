@@ -10,6 +10,9 @@ from eihrl_jax.config import codec
 from eihrl_jax.robots import ant, humanoid, point, swimmer
 from eihrl_jax.robots.robot import Robot
 
+ASSETS = pathlib.Path(__file__).parent / "assets"
+"""Folder of the models that come with the package."""
+
 SUFFIX = ".toml"
 """How the name of a description ends."""
 

@@ -32,8 +32,10 @@ class Robot:
       reach: greatest distance of any part from the torso's xy, metres; below half a cell three wall
         boxes are enough, else eight.
       body_radius: radius with which oracle movement stops at walls, metres.
-      healthy_z: torso heights outside of which the robot counts as fallen, metres; None: it can't.
+      healthy_z: torso heights outside of which the robot has fallen, metres; None: it can't.
       cell: side of a cell, metres.
+      max_speed: greatest speed of the torso along x and y that walls must hold, metres per second;
+        None: what those boxes hold that its reach asks for.
       keyframe: name of the model's keyframe in which episodes start; None: its first one.
       start: all of qpos at the start of an episode, instead of a keyframe's.
       servo_range: how far from the start posture controls of 1 move a servo at most, radians or
@@ -54,6 +56,7 @@ class Robot:
     body_radius: limits.Positive
     healthy_z: tuple[float, float] | None = None
     cell: Annotated[float, limits.Range(0.01, 1_000.0)] = base.CELL
+    max_speed: limits.Positive | None = None
     keyframe: str | None = None
     start: tuple[float, ...] | None = None
     servo_range: limits.Positive | None = None
@@ -70,6 +73,11 @@ class Robot:
         # Farther than in the cells around its own there are no walls for it.
         checks.in_range("reach", self.reach, above=0.0, high=self.cell)
         checks.in_range("body_radius", self.body_radius, above=0.0, high=self.cell / 2)
+        if self._max_path >= self.cell - self.body_radius:
+            raise base.UserError(
+                f"max_speed = {self.max_speed} takes it {self._max_path:.2f} m far in a control "
+                f"step, walls hold below {self.cell - self.body_radius:.2f}: fewer num_substeps"
+            )
         if self.keyframe is not None and self.start is not None:
             raise base.UserError("keyframe and start exclude each other")
         if self.start is not None and not all(map(math.isfinite, self.start)):
@@ -97,4 +105,17 @@ class Robot:
     def num_walls(self) -> int:
         """Number of wall boxes that can touch the robot at once."""
         # Nearer than half a cell to its centre, a robot meets one cell on each axis and a corner.
-        return 3 if self.reach < self.cell / 2 else 8
+        is_short = self.reach < self.cell / 2
+        return 3 if is_short and self._max_path < self.cell / 2 - self.body_radius else 8
+
+    @property
+    def max_travel(self) -> float:
+        """Units that the torso may move in a control step, for which its boxes stand still."""
+        # What stands around the robot's own cell reaches a whole cell far to every side.
+        room = self.cell / 2 if self.num_walls == 3 else self.cell
+        return (room - self.body_radius) * self.units_per_metre
+
+    @property
+    def _max_path(self) -> float:
+        """Metres of a control step at full speed."""
+        return 0.0 if self.max_speed is None else self.max_speed * self.control_step

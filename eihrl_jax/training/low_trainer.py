@@ -14,7 +14,7 @@ from eihrl_jax.agents import replay as replay_lib
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import experience, locomotion, low_obs, rooms, subgoals, wrappers
 from eihrl_jax.ops import tree
-from eihrl_jax.physics import engines
+from eihrl_jax.physics import engines, scene
 
 
 class LowState(struct.PyTreeNode):
@@ -51,6 +51,7 @@ class LowTrainer:
         self.robot = robots.load(config.robot)
         engine = engines.make(self.robot, config.engine)
         self._num_actions = engine.model.nu
+        self._fingerprint = scene.fingerprint(engine.model, self.robot)
 
         # Statistics are always taken on open floor, whatever the robot learned among.
         floor = rooms.open_floor()
@@ -159,6 +160,7 @@ class LowTrainer:
         """Returns what must stand beside the parameters for them to be used."""
         return {
             "robot": self.robot.name,
+            "fingerprint": self._fingerprint,
             "low_input": vars(self.config.low_input),
             "hidden": list(self.config.droq.hidden),
             "num_features": self.num_features,

@@ -2,9 +2,10 @@
 
 import pytest
 
-from eihrl_jax import robots
+from eihrl_jax import base, robots
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.evaluation import loading
+from eihrl_jax.physics import scene
 from eihrl_jax.reporting import evaluations
 from eihrl_jax.runs import policies
 
@@ -17,6 +18,18 @@ def test_high_levels_load(name):
 @pytest.mark.parametrize("name", policies.shipped("low"))
 def test_low_levels_load(name):
     assert callable(loading.load_low(name, robots.load(name)))
+
+
+def test_low_levels_of_a_robot_that_has_changed_since_are_refused(tmp_path):
+    robot = robots.load("point")
+    params, meta = policies.load(policies.find("point", "low"), kind="low")
+    same = scene.fingerprint(scene.build(robot), robot)
+    for name, text in (("same", same), ("other", same[::-1])):
+        meta["fingerprint"] = text
+        policies.save(tmp_path / name, kind="low", params=params, meta=meta)
+    assert callable(loading.load_low(str(tmp_path / "same"), robot))
+    with pytest.raises(base.UserError, match="is a policy of another version of robot 'point'"):
+        loading.load_low(str(tmp_path / "other"), robot)
 
 
 @pytest.mark.parametrize("name", policies.shipped("baseline"))
