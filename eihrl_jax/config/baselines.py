@@ -44,7 +44,7 @@ class BaselineConfig:
     resume: bool = False
     maze: str = "random"
     reward: base.Reward = "sparse"
-    num_decisions: Annotated[int, limits.Range(1, 10_000)] | None = None
+    num_decisions: limits.Decisions | None = None
     goals: Goals = "own"
     robot: str = "ant"
     engine: base.EngineName = "mujoco"

@@ -1,7 +1,7 @@
 """Options of an evaluation: which agents, in which mazes, how many episodes."""
 
 import pathlib
-from typing import Annotated, Literal
+from typing import Literal
 
 from eihrl_jax import base
 from eihrl_jax.config import checks, limits
@@ -30,7 +30,9 @@ class EvaluateConfig:
     tables.md, a heatmap per maze, and an animation.
 
     Attributes:
-      mazes: names (random, u, s, spiral, g1, g2, g3) or text files; default: Table 1 of the paper.
+      mazes: names (random, u, s, spiral, g1, g2, g3), suites (paper, jaxued, ogbench, jaxgcrl,
+        gymnasium-robotics, perfect-19, perfect-51, perfect-101), names of mazes in them, such as
+        jaxued-labyrinth, or text files; default: Table 1 of the paper.
       robot: point, ant, swimmer, humanoid or description files (docs/robots.md).
       movement: oracle: the simulator moves the torso; full: the robot itself, with a low level.
       high: run folders, policy folders or names of shipped policies; uniform: uniform directions;
@@ -43,7 +45,7 @@ class EvaluateConfig:
       episodes: per maze and seed.
       seeds: of the evaluation's random numbers; each runs all episodes anew.
       out: folder of the results; must be new or empty.
-      num_decisions: time limit in subgoals; none: each maze's own (paper, Table 3 divided by 25).
+      num_decisions: time limit in subgoals; none: each maze's own.
       greedy: take the most likely direction, also where the high level's preset takes a sample.
       sampled: take a sample, also where the high level's preset takes the most likely direction.
       step: units that oracle movement goes per subgoal.
@@ -71,7 +73,7 @@ class EvaluateConfig:
     episodes: limits.UpToMillion = 500  # which the paper's percentages point at, see `statistics`
     seeds: limits.Seeds = (0,)
     out: pathlib.Path = pathlib.Path("runs/evaluation")
-    num_decisions: Annotated[int, limits.Range(1, 10_000)] | None = None
+    num_decisions: limits.Decisions | None = None
     greedy: bool = False
     sampled: bool = False
     step: float = base.CELL

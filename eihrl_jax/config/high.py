@@ -43,7 +43,7 @@ class Task:
     """
 
     maze: str = "random"
-    num_decisions: Annotated[int, limits.Range(1, 10_000)] | None = None
+    num_decisions: limits.Decisions | None = None
     robot: str = "ant"
     reward: base.Reward = "sparse"
     extent: float = 9.0  # three cells

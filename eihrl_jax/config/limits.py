@@ -79,6 +79,11 @@ Count = Annotated[int, Range(1, 2**31 - 1)]
 
 CountFromZero = Annotated[int, Range(0, 2**31 - 1)]
 
+MAX_DECISIONS = 10_000_000
+"""Longest time limit of an episode, in subgoals: four times the ways of the largest mazes fit."""
+
+Decisions = Annotated[int, Range(1, MAX_DECISIONS)]
+
 UpToMillion = Annotated[int, Range(1, 1_000_000)]
 
 Fraction = Annotated[float, Range(0.0, 1.0)]

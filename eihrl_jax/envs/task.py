@@ -34,12 +34,13 @@ class MazeTable(struct.PyTreeNode):
 
     Attributes:
       mazes: the mazes as they were given, with leading axis M.
-      codes: uint8 [M, R + 2 m, C + 2 m], see `mazes.maze.codes`; door candidates are wall, and so
-        is a margin of m cells, which stands for everything outside the grid.
+      codes: uint8 [M, R + 2 m, C + 2 m], see `mazes.maze.codes`; no candidate is open, and a margin
+        of m cells is wall, which stands for everything outside the grid.
       start_ij: int32 [M, S, 2], row and column of the start cells, padded to the longest list.
-      door_ij: int32 [M, D, 2], the same of the door candidates; `NO_DOOR` where there is none.
+      door_ij: int32 [M, D, 2], the same of the candidates; `NO_DOOR` where there is none.
       num_starts: int32 [M].
       num_doors: int32 [M], at least 1.
+      num_both: int32 [M], cells that are both, which stand first in both lists.
       goal_xy: float32 [M, 9, 2], centres of the goal regions, units; 0 for an absent goal.
       margin: m, at least 1 and at least what a map shows to every side.
     """
@@ -50,6 +51,7 @@ class MazeTable(struct.PyTreeNode):
     door_ij: Int[Array, "M D 2"]
     num_starts: Int[Array, "M"]
     num_doors: Int[Array, "M"]
+    num_both: Int[Array, "M"]
     goal_xy: Float[Array, "M 9 2"]
     margin: int = struct.field(pytree_node=False)
 
@@ -88,8 +90,11 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
         mazes = jax.tree.map(lambda leaf: leaf[None], mazes)
 
     # As lists of cells: drawing one of a list needs no search through the grid.
-    starts = [paths.cells(mask) for mask in np.asarray(mazes.start)]
-    doors = [paths.cells(mask) or [(NO_DOOR, NO_DOOR)] for mask in np.asarray(mazes.door)]
+    start, door = np.asarray(mazes.start), np.asarray(mazes.door)
+    both = [paths.cells(mask) for mask in start & door]
+    starts = [b + paths.cells(mask) for b, mask in zip(both, start & ~door, strict=True)]
+    doors = [b + paths.cells(mask) for b, mask in zip(both, door & ~start, strict=True)]
+    doors = [cells or [(NO_DOOR, NO_DOOR)] for cells in doors]
     return MazeTable(
         mazes=mazes,
         codes=jnp.pad(
@@ -101,6 +106,7 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
         door_ij=_padded(doors),
         num_starts=jnp.array([len(cells) for cells in starts], jnp.int32),
         num_doors=jnp.array([len(cells) for cells in doors], jnp.int32),
+        num_both=jnp.array([len(cells) for cells in both], jnp.int32),
         goal_xy=jax.vmap(maze_lib.goal_centres)(mazes),
         margin=margin,
     )
@@ -109,7 +115,7 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
 def start(
     table: MazeTable, key: Key[Array, ""], maze: Int[Array, ""] | None = None
 ) -> tuple[Navigation, Float[Array, "2"]]:
-    """Draws maze, door and start of an episode, each uniformly.
+    """Draws maze, door and start of an episode, each uniformly; no start is a goal.
 
     Args:
       table: the mazes.
@@ -125,7 +131,11 @@ def start(
     if maze is None:
         maze = pick(draws[0], jnp.int32(table.num_mazes))
     door = pick(draws[1], _of(table.num_doors, maze))
-    cell = pick(draws[2], _of(table.num_starts, maze))
+
+    # Where the goal might be a start as well, it stands in both lists at the same place: left out.
+    is_start = door < _of(table.num_both, maze)
+    cell = pick(draws[2], _of(table.num_starts, maze) - is_start.astype(jnp.int32))
+    cell = jnp.where(is_start & (cell >= door), cell + 1, cell)
     offset = (2.0 * draws[3:] - 1.0) * _of(table.mazes.start_jitter, maze)
 
     nav = Navigation(
@@ -273,7 +283,7 @@ def _codes(
         flat += nav.maze * rows * columns
     codes = table.codes.reshape(-1).at[flat].get(mode="promise_in_bounds")
 
-    # The table holds every door candidate as wall; this episode's open one is goal 1.
+    # The table holds no candidate as a goal; this episode's open one is goal 1.
     is_door = (i == nav.door_ij[0]) & (j == nav.door_ij[1])
     return jnp.where(is_door, jnp.uint8(1), codes)
 

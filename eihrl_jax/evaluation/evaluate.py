@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import pathlib
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -88,7 +87,7 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
         same name in the files.
     """
     # Everything that can be wrong is loaded first: no hour of episodes is lost to a typing error.
-    chosen = _load_mazes(options)
+    chosen = mazes.load_all(options.mazes, num_decisions=options.num_decisions)
     plan = rollouts.Plan(
         mazes=chosen,
         seeds=options.seeds,
@@ -109,20 +108,6 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
             seconds=progress.seconds,
             is_last=item is prepared[-1],
         )
-
-
-def _load_mazes(options: evaluate_config.EvaluateConfig) -> dict[str, mazes.Maze]:
-    """Loads the mazes by their labels: names, or the stems of files."""
-    chosen: dict[str, mazes.Maze] = {}
-    for name in options.mazes:
-        label = name if name in mazes.NAMES else pathlib.Path(name).stem
-        maze = mazes.load(name, num_decisions=options.num_decisions)
-
-        # Labels name the files of results, so two files `maze.txt` can't be told apart there.
-        if label in chosen:
-            raise base.UserError(f"mazes: {name!r} would be the second one called {label!r}")
-        chosen[label] = maze
-    return chosen
 
 
 def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> list[_Prepared]:

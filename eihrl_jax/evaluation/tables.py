@@ -14,6 +14,7 @@ import rich.table
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.envs import subgoals
 from eihrl_jax.evaluation import paper, results, statistics
+from eihrl_jax.mazes import suites
 
 TABLE1_MAZES = {"random": "Maze-ori", "g1": "Maze-g1", "g2": "Maze-g2", "g3": "Maze-g3"}
 """Our names of the mazes of the paper's Table 1, and the paper's."""
@@ -76,24 +77,59 @@ def spread(over: statistics.RunSpread) -> str:
 
 
 def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
-    """Returns one general table for each agent."""
+    """Returns one general table for each agent; a whole suite's mean stands above its mazes."""
     # In the order of the cells, which is that of the evaluation.
     header = ["maze", "success %", "95 %", "return", "decisions", "falls", "episodes"]
-    rows: dict[results.Agent, list[list[str]]] = {}
+    by_agent: dict[results.Agent, dict[str, results.Cell]] = {}
     for cell in cells:
-        row = [
-            cell.maze,
-            percent(cell.success),
-            interval(cell.success),
-            f"{cell.return_mean:.2f}",
-            f"{cell.decisions_mean:.1f} / {cell.num_decisions}",
-            # The oracle can't fall: a zero would look like an achievement.
-            str(cell.num_falls) if cell.agent.movement == "full" else "-",
-            str(cell.num_episodes),
-        ]
-        rows.setdefault(cell.agent, []).append(row)
+        by_agent.setdefault(cell.agent, {})[cell.maze] = cell
 
-    return [Table(_title(agent), header, body) for agent, body in rows.items()]
+    tables = []
+    for agent, by_maze in by_agent.items():
+        suite_of = {maze: suite for suite, own in suites.complete(by_maze).items() for maze in own}
+        body, shown = [], set()
+        for maze, cell in by_maze.items():
+            suite = suite_of.get(maze)
+            if suite is not None and suite not in shown:
+                own = [c for name, c in by_maze.items() if suite_of.get(name) == suite]
+                body.append(_suite_row(suite, own))
+                shown.add(suite)
+            body.append(_maze_row(cell, "  " if suite else ""))
+        tables.append(Table(_title(agent), header, body))
+    return tables
+
+
+def _maze_row(cell: results.Cell, indent: str) -> list[str]:
+    """Returns a maze's row of the general table."""
+    return [
+        indent + cell.maze,
+        percent(cell.success),
+        interval(cell.success),
+        f"{cell.return_mean:.2f}",
+        f"{cell.decisions_mean:.1f} / {cell.num_decisions}",
+        _falls([cell]),
+        str(cell.num_episodes),
+    ]
+
+
+def _suite_row(suite: str, cells: Sequence[results.Cell]) -> list[str]:
+    """Returns a suite's row of the general table: means in which every maze weighs the same."""
+    return [
+        f"{suite}, mean of {len(cells)}",
+        f"{100 * np.mean([cell.success.rate for cell in cells]):.1f}",
+        "-",
+        f"{np.mean([cell.return_mean for cell in cells]):.2f}",
+        f"{np.mean([cell.decisions_mean for cell in cells]):.1f}",
+        _falls(cells),
+        str(sum(cell.num_episodes for cell in cells)),
+    ]
+
+
+def _falls(cells: Sequence[results.Cell]) -> str:
+    """Returns the number of falls in some mazes."""
+    # The oracle can't fall: a zero would look like an achievement.
+    is_full = cells[0].agent.movement == "full"
+    return str(sum(cell.num_falls for cell in cells)) if is_full else "-"
 
 
 def _title(agent: results.Agent) -> str:
@@ -160,14 +196,23 @@ def over_runs(
         as `best-u-0` and `best-u-1`, are taken as trained alike from different seeds.
 
     Returns:
-      One entry wherever two or more runs were evaluated, their name ending in `*`.
+      One entry wherever two or more runs were evaluated, their name ending in `*`; of a suite whose
+      mazes all were, one of the means over its mazes, too.
     """
-    groups: dict[tuple[str, str, str, str], list[float]] = {}
+    by_agent: dict[results.Agent, dict[str, float]] = {}
     for cell in cells:
         if cell.agent.high != evaluate_config.UNIFORM:
-            name = re.sub(r"\d+$", "*", cell.agent.high)
-            key = (name, cell.maze, cell.agent.robot, cell.agent.movement)
-            groups.setdefault(key, []).append(cell.success.rate)
+            by_agent.setdefault(cell.agent, {})[cell.maze] = cell.success.rate
+
+    groups: dict[tuple[str, str, str, str], list[float]] = {}
+    for agent, by_maze in by_agent.items():
+        means = {
+            suite: float(np.mean([by_maze[maze] for maze in own]))
+            for suite, own in suites.complete(by_maze).items()
+        }
+        for maze, rate in (means | by_maze).items():
+            key = (re.sub(r"\d+$", "*", agent.high), maze, agent.robot, agent.movement)
+            groups.setdefault(key, []).append(rate)
 
     return {
         key: statistics.over_runs(np.array(rates))

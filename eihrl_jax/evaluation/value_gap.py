@@ -71,7 +71,7 @@ def compare(options: gap_config.ValueGapConfig) -> list[Gap]:
       base.UserError: a maze has several goals; a policy or maze is unknown.
     """
     # One goal: the value is a probability of reaching it, discounted by when.
-    chosen = {name: mazes.load(name) for name in options.mazes}
+    chosen = mazes.load_all(options.mazes)
     for name, maze in chosen.items():
         if int(maze.num_goals) != 1:
             raise base.UserError(f"mazes: {name!r} has {int(maze.num_goals)} goals, must have 1")

@@ -1,26 +1,13 @@
-"""Mazes by name, and mazes from text files.
-
-The paper's seven mazes have names (Figures 1 and 4); their time limits are those of Table 3 divided
-by 25, the control steps per subgoal.
-"""
+"""Mazes by name, by the name of their suite, and from text files."""
 
 import pathlib
+from collections.abc import Iterable
 
 from eihrl_jax import base
-from eihrl_jax.mazes import layouts, parsing
+from eihrl_jax.mazes import parsing, suites
 from eihrl_jax.mazes.maze import Maze
 
-_TEXT_AND_LIMIT = {  # limits in subgoals (paper, Table 3 over 25)
-    "random": (layouts.RANDOM, 24),
-    "u": (layouts.U, 24),
-    "s": (layouts.S, 40),
-    "spiral": (layouts.SPIRAL, 200),
-    "g1": (layouts.G1, 24),
-    "g2": (layouts.G2, 24),
-    "g3": (layouts.G3, 24),
-}
-
-NAMES = tuple(_TEXT_AND_LIMIT)
+NAMES = ("random", "u", "s", "spiral", "g1", "g2", "g3")
 """Names of the paper's mazes."""
 
 _MAX_BYTES = 4 * parsing.MAX_SIZE**2
@@ -28,38 +15,67 @@ _MAX_BYTES = 4 * parsing.MAX_SIZE**2
 
 
 def load(name_or_path: str | pathlib.Path, *, num_decisions: int | None = None) -> Maze:
-    """Loads one of the paper's mazes by name, or a maze from a text file.
+    """Loads a maze by its name, the paper's or one of a suite, or from a text file.
 
     Args:
-      name_or_path: one of `NAMES`, else the path of a text file (legend: `parsing`).
-      num_decisions: time limit in subgoals; None: the paper's, for a file see `parsing.parse`.
+      name_or_path: one of `NAMES`, a name such as `jaxued-labyrinth` (see `suites.mazes`), else the
+        path of a text file (legend: `parsing`).
+      num_decisions: time limit in subgoals; None: the suite's own if it has one, else see
+        `parsing.parse`.
 
     Raises:
-      base.UserError: unknown name, unreadable file, or a text that is not a maze.
+      base.UserError: unknown name, a suite's, unreadable file, or a text that is not a maze.
 
     >>> int(load("spiral").num_goals), int(load("spiral").num_decisions)
     (5, 200)
     """
     name = str(name_or_path)
-    if name not in NAMES:
+    named = suites.find(name)
+    if named is None:
         return parsing.parse(_read(pathlib.Path(name)), name=name, num_decisions=num_decisions)
-
-    text, limit = _TEXT_AND_LIMIT[name]
     return parsing.parse(
-        text,
+        named.text,
         name=name,
-        num_decisions=limit if num_decisions is None else num_decisions,
-        # Paper: only the Random Square starts anywhere (App. D.1); the widths are ours.
-        start_jitter=0.75 if name == "random" else 0.5,
+        num_decisions=named.num_decisions if num_decisions is None else num_decisions,
+        start_jitter=named.start_jitter,
     )
+
+
+def load_all(names: Iterable[str], *, num_decisions: int | None = None) -> dict[str, Maze]:
+    """Loads several mazes; the name of a suite stands for all of its mazes.
+
+    Args:
+      names: see `load`, and `suites.NAMES`.
+      num_decisions: time limit in subgoals of all; None: see `load`.
+
+    Returns:
+      The mazes by their labels: names, or the stems of files.
+
+    Raises:
+      base.UserError: see `load`; two mazes would have the same label.
+    """
+    chosen: dict[str, Maze] = {}
+    for name in names:
+        for each in suites.mazes(name) if name in suites.NAMES else [name]:
+            label = each if suites.find(each) else pathlib.Path(each).stem
+            # Labels name the files of results, so two files `maze.txt` can't be told apart there.
+            if label in chosen:
+                raise base.UserError(f"mazes: {each!r} would be the second one called {label!r}")
+            chosen[label] = load(each, num_decisions=num_decisions)
+    return chosen
 
 
 def _read(path: pathlib.Path) -> str:
     """Reads the text of a maze file."""
     maze = f"maze {str(path)!r}"
+    if str(path) in suites.NAMES:
+        mazes = ", ".join(suites.mazes(str(path)))
+        raise base.UserError(f"{maze}: a suite of several mazes, name one of {mazes}")
+
     try:
         if not path.exists():
-            raise base.UserError(f"{maze}: neither a file nor one of {', '.join(NAMES)}")
+            known = f"one of {', '.join(NAMES)}, nor a maze of {', '.join(suites.NAMES[1:])}"
+            raise base.UserError(f"{maze}: neither a file nor {known}")
         if not path.is_file():
             raise base.UserError(f"{maze}: not a file")
         # Asked before it is read: any file may have been named by mistake.

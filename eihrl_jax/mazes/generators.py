@@ -13,8 +13,8 @@ from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import parsing, paths
 from eihrl_jax.mazes.maze import Maze
 
-MAX_INSIDE = parsing.MAX_SIZE - 2
-"""Largest number of rows or columns inside the outer ring."""
+MAX_INSIDE = 254
+"""Largest number of rows or columns inside the outer ring of a random room."""
 
 MAX_LENGTH = 6
 """Longest inner wall in cells; walls are also at most half as long as the room."""
@@ -143,8 +143,8 @@ def goals_anywhere(maze: Maze) -> Maze:
       al. 2018).
     """
     # Doors are ends of ways and lead nowhere, so they are wall to all places but themselves.
-    door, start = np.asarray(maze.door), np.asarray(maze.start)
-    wall = np.asarray(maze.wall) | door
+    wall, start = np.asarray(maze.wall), np.asarray(maze.start)
+    door = np.asarray(maze.door) & wall
     places = paths.cells(paths.distances(~wall, paths.cells(start)) >= 0)
     if len(places) > MAX_PLACES:
         raise base.UserError(

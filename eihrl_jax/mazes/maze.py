@@ -25,7 +25,8 @@ class Maze(struct.PyTreeNode):
       wall: bool [R, C], true where a body can't be.
       goal: int32 [R, C], number of the goal region of a cell, 1 to 9, or 0.
       start: bool [R, C], cells in which an episode may start.
-      door: bool [R, C], door candidates; wall until `open_door` opens one of them.
+      door: bool [R, C], candidates of which `open_door` makes one goal 1: those in walls are doors,
+        the others stay free.
       start_jitter: float32, half-width of the uniform offset from the start cell's centre, units.
       num_goals: int32, number of goals of an episode.
       num_decisions: int32, time limit in subgoals (paper, Table 3 divided by 25).
@@ -85,14 +86,14 @@ def draw_cell(mask: Bool[Array, "R C"], key: Key[Array, ""]) -> Int[Array, "2"]:
 
 
 def open_door(maze: Maze, ij: Int[Array, "2"]) -> Maze:
-    """Opens the door candidate at row and column `ij` as goal 1 and walls up the others.
+    """Makes the candidate at row and column `ij` goal 1; the other door candidates stay wall.
 
     Where there is no candidate, such as outside the grid, none opens.
     """
     rows, columns = jnp.indices(maze.door.shape, sparse=True)
     is_open = maze.door & (rows == ij[0]) & (columns == ij[1])
     return maze.replace(
-        wall=(maze.wall | maze.door) & ~is_open,
+        wall=maze.wall & ~is_open,
         goal=jnp.where(is_open, 1, maze.goal),
     )
 

@@ -1,9 +1,9 @@
 """Turns the text of a maze into the pytree, and says by row and column what is wrong with it.
 
-Legend: `#` wall, `.` free, `S` start candidate, `1` to `9` goal regions, `D` door
-candidates, of which one is drawn per episode and becomes goal 1 while the others are wall. The
-text includes the outer ring, which holds only walls, goals and doors. In messages rows and columns
-are counted from 1, as text editors do.
+Legend: `#` wall, `.` free, `S` start candidate, `1` to `9` goal regions; candidates of which one is
+drawn per episode and becomes goal 1: `D` doors, of which the others are wall, or `G` free cells,
+with `*` for one that is a start candidate too. The text includes the outer ring, which holds only
+walls, goal regions and doors. In messages rows and columns are counted from 1, as text editors do.
 """
 
 import jax
@@ -11,14 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from eihrl_jax import base
-from eihrl_jax.config import checks
+from eihrl_jax.config import checks, limits
 from eihrl_jax.mazes import paths
 from eihrl_jax.mazes.maze import MAX_GOALS, Maze
 
-MIN_SIZE, MAX_SIZE = 3, 256
+MIN_SIZE, MAX_SIZE = 3, 2050
 """Smallest and largest number of rows and of columns, outer ring included."""
 
 DIGITS = "123456789"
+
+STARTS, CANDIDATES = "S*", "DG*"
+"""Where an episode may start, and of what one is drawn to be goal 1."""
 
 
 def parse(
@@ -44,19 +47,18 @@ def parse(
     """
     checks.in_range(f"{name}: start_jitter", start_jitter, 0.0, below=base.CELL / 2)
     if num_decisions is not None:
-        checks.in_range(f"{name}: num_decisions", num_decisions, 1)
+        checks.in_range(f"{name}: num_decisions", num_decisions, 1, limits.MAX_DECISIONS)
 
     grid = _grid(text, name)
     _check_cells(grid, name)
     _check_ways(grid, name)
 
-    # Doors are wall until an episode draws one of them.
-    is_door = grid == "D"
+    is_door = np.isin(grid, list(CANDIDATES))
     goal = np.where(np.isin(grid, list(DIGITS)), grid, "0").astype(np.int32)
     fields = {
-        "wall": (grid == "#") | is_door,
+        "wall": np.isin(grid, list("#D")),  # doors until an episode draws one of them
         "goal": goal,
-        "start": grid == "S",
+        "start": np.isin(grid, list(STARTS)),
         "door": is_door,
         "start_jitter": np.float32(start_jitter),
         "num_goals": np.int32(max(goal.max(), int(is_door.any()))),
@@ -82,10 +84,10 @@ def _grid(text: str, name: str) -> np.ndarray:
     # Characters before lengths: a tab, say, is the likelier cause of a line that is too short.
     for i, line in enumerate(lines):
         for j, character in enumerate(line):
-            if character not in "#.SD" + DIGITS:
+            if character not in "#.S*DG" + DIGITS:
                 raise base.UserError(
                     f"{name}: unknown character {character!r} at {_where((i, j))}; "
-                    "known are # . S D and 1 to 9"
+                    "known are # . S D G * and 1 to 9"
                 )
         if len(line) != len(lines[0]):
             raise base.UserError(
@@ -100,20 +102,31 @@ def _check_cells(grid: np.ndarray, name: str) -> None:
     """Checks that starts and goals are there, numbered without gaps, and the ring is closed."""
     ring = np.ones(grid.shape, bool)
     ring[1:-1, 1:-1] = False
-    for cell in paths.cells(ring & np.isin(grid, [".", "S"])):
+    for cell in paths.cells(ring & np.isin(grid, list(".SG*"))):
         raise base.UserError(
             f"{name}: {str(grid[cell])!r} at {_where(cell)} leaves the outer ring open; "
             "only # D and 1 to 9 may be there"
         )
 
-    if not (grid == "S").any():
+    starts = paths.cells(np.isin(grid, list(STARTS)))
+    if not starts:
         raise base.UserError(f"{name}: no start; mark at least one cell with S")
+    if len(starts) == 1 and grid[starts[0]] == "*":
+        raise base.UserError(
+            f"{name}: the only start, at {_where(starts[0])}, may be the goal; mark another one"
+        )
 
-    has_door = bool((grid == "D").any())
+    has_door = bool(np.isin(grid, list(CANDIDATES)).any())
     present = [int(digit) for digit in DIGITS if (grid == digit).any()]
     if not present and not has_door:
-        raise base.UserError(f"{name}: no goal; mark a region with 1 or door candidates with D")
+        raise base.UserError(f"{name}: no goal; mark a region with 1 or candidates with D or G")
 
+    doors, free = paths.cells(grid == "D"), paths.cells(np.isin(grid, list("G*")))
+    if doors and free:
+        raise base.UserError(
+            f"{name}: door candidate at {_where(doors[0])} beside the free one at "
+            f"{_where(free[0])}; candidates are all D, or all G and *"
+        )
     # The open door is goal 1, so regions are numbered on from there.
     if has_door and 1 in present:
         raise base.UserError(
@@ -129,17 +142,17 @@ def _check_cells(grid: np.ndarray, name: str) -> None:
 
 def _check_ways(grid: np.ndarray, name: str) -> None:
     """Checks that every start leads to every goal and door without passing another door."""
-    starts = paths.cells(grid == "S")
-    no_way = f"{name}: no way from the start at {_where(starts[0])} to"
+    first = paths.cells(np.isin(grid, list(STARTS)))[0]
+    no_way = f"{name}: no way from the start at {_where(first)} to"
     # What the first start reaches, the others reach by way of it.
-    reached = paths.distances((grid != "#") & (grid != "D"), starts[:1])
+    reached = paths.distances((grid != "#") & (grid != "D"), [first])
 
-    for start in starts:
-        if reached[start] < 0:
-            raise base.UserError(f"{no_way} the start at {_where(start)}")
-    for goal in paths.cells(np.isin(grid, list(DIGITS))):
-        if reached[goal] < 0:
-            raise base.UserError(f"{no_way} goal {grid[goal]} at {_where(goal)}")
+    unreached = reached < 0
+    for start in paths.cells(unreached & np.isin(grid, list(STARTS))):
+        raise base.UserError(f"{no_way} the start at {_where(start)}")
+    for goal in paths.cells(unreached & np.isin(grid, list(DIGITS + "G"))):
+        label = "the candidate" if grid[goal] == "G" else f"goal {grid[goal]}"
+        raise base.UserError(f"{no_way} {label} at {_where(goal)}")
     for door in paths.cells(grid == "D"):
         if paths.way_to_door(reached, door) < 0:
             raise base.UserError(f"{no_way} the door candidate at {_where(door)}")

@@ -50,7 +50,7 @@ def arrivals(maze: Maze, start: Cell | None = None, door: Cell | None = None) ->
     Args:
       maze: one maze, no door drawn.
       start: start cell; None: the nearest of all.
-      door: the door candidate that is open; None: none is, and goal 1 is a region of the text.
+      door: the candidate that is drawn; None: none is, and goal 1 is a region of the text.
 
     Returns:
       Number of moves per goal, in the order of the goals; -1 where there is no way.
@@ -86,7 +86,7 @@ def longest_tour(maze: Maze) -> int:
 
 
 def way_to_door(reached: Int[np.ndarray, "R C"], door: Cell) -> int:
-    """Returns the moves to a door, given those to all other cells; -1 where there is no way."""
+    """Returns the moves to a candidate, given those to other cells; -1 where there is no way."""
     # Doors lie in the ring, where a neighbour may be beyond the grid: padded as out of reach.
     around = np.pad(reached, 1, constant_values=-1)
     i, j = door[0] + 1, door[1] + 1
@@ -96,7 +96,7 @@ def way_to_door(reached: Int[np.ndarray, "R C"], door: Cell) -> int:
 
 def _free(maze: Maze) -> Bool[np.ndarray, "R C"]:
     """Returns the cells that can be entered while no door is open."""
-    return ~(np.asarray(maze.wall) | np.asarray(maze.door))
+    return ~np.asarray(maze.wall)
 
 
 def _moves(

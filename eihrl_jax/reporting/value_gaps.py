@@ -61,7 +61,7 @@ def _draw(options: gap_config.ValueGapConfig, gaps: list[gap_lib.Gap]) -> None:
         )
 
     # The loosest bound of the mazes: it grows with the time limit.
-    limit = max(int(mazes.load(name).num_decisions) for name in options.mazes)
+    limit = max(int(maze.num_decisions) for maze in mazes.load_all(options.mazes).values())
     sigmas = np.linspace(0.01, max(1.0, 2 * options.reference), 991)
     # Theory: the chance to part in one decision, then within the limit (docs/theory.md).
     rate = gaussians.scale_total_variation(sigmas, options.reference)

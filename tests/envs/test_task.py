@@ -1,3 +1,4 @@
+import collections
 import dataclasses
 
 import jax
@@ -284,3 +285,23 @@ def test_the_map_of_a_whole_maze_holds_that_around_the_robot_and_what_is_known(k
 def test_what_is_known_needs_a_map():
     with pytest.raises(base.UserError, match="knows = 'goal' needs a map, but map_radius = 0"):
         raster.View(knows="goal")
+
+
+def test_a_free_candidate_is_drawn_as_the_goal_and_never_as_the_start_beside_it():
+    maze = mazes.parse("######\n#S**G#\n#....#\n######")
+    table = task.prepare(maze)
+    navs, xy = starts_of(table, jax.random.split(jax.random.key(0), 900))
+    goals = [tuple(ij) for ij in np.asarray(navs.door_ij).tolist()]
+    starts = [tuple(ij) for ij in np.asarray(jax.vmap(maze_lib.cell_ij)(xy)).tolist()]
+    pairs = collections.Counter(zip(goals, starts, strict=True))
+    # Three goals, each with the starts that are left: two beside a `*`, three beside the `G`.
+    expected = {
+        (g, (1, s)): 300 / (2 if g[1] < 4 else 3)
+        for g in [(1, 2), (1, 3), (1, 4)]
+        for s in (1, 2, 3)
+        if s != g[1]
+    }
+    assert pairs.keys() == expected.keys()
+    assert all(abs(pairs[pair] - num) < 50 for pair, num in expected.items())
+    drawn = task.drawn_maze(table, jax.tree.map(lambda leaf: leaf[0], navs))
+    assert (drawn.wall == maze.wall).all() and drawn.goal[goals[0]] == 1 and drawn.goal.sum() == 1

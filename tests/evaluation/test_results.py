@@ -7,6 +7,7 @@ import pytest
 
 from eihrl_jax import base
 from eihrl_jax.evaluation import loading, results, tables
+from eihrl_jax.mazes import suites
 
 ANT = results.Agent(robot="ant", movement="full", high="runs/one", low="ant")
 
@@ -144,3 +145,19 @@ def test_terminal_shows_the_same_tables():
         "Table 1, high level runs/one",
     ]
     assert shown[0].row_count == 1
+
+
+def test_a_suite_has_a_row_above_its_mazes_where_all_of_them_were_evaluated():
+    names = list(suites.mazes("jaxgcrl"))
+    one = [cell(name) for name in names]
+    lines = tables.markdown([*one, cell("mine")]).splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("| jaxgcrl, mean of 7 |"))
+    assert [line.split("|")[1].strip() for line in lines[first + 1 :][:8]] == [*names, "mine"]
+    mean, maze = (lines[i].split("|")[2] for i in (first, first + 1))
+    assert float(mean) == float(maze.split("±")[0])
+    assert "mean of" not in tables.markdown(one[1:])
+
+    other = dataclasses.replace(ANT, high="best-u-1")
+    both = [dataclasses.replace(c, agent=dataclasses.replace(ANT, high="best-u-0")) for c in one]
+    both += [cell(name, other) for name in names]
+    assert ("best-u-*", "jaxgcrl", "ant", ANT.movement) in tables.over_runs(both)

@@ -58,6 +58,23 @@ def test_goal_numbers():
     check("#S3..D", match="goal 3 at row 2, column 3, but there is no 2")
 
 
+def test_free_candidates():
+    check("#S1.G#", match="goal 1 at row 2, column 3 beside door candidates")
+    check(
+        "#S.G.D", match="row 2, column 6 beside the free one at row 2, column 4; candidates are all"
+    )
+    check(
+        "#S#.G#",
+        match="no way from the start at row 2, column 2 to the candidate at row 2, column 5",
+    )
+    check("#*..G#", match="the only start, at row 2, column 2, may be the goal; mark another one")
+    check("#S...G", match="'G' at row 2, column 6 leaves the outer ring open")
+    maze = parsing.parse("######\n#S*.G#\n######")
+    assert np.argwhere(np.asarray(maze.door)).tolist() == [[1, 2], [1, 4]]
+    assert np.argwhere(np.asarray(maze.start)).tolist() == [[1, 1], [1, 2]]
+    assert not np.asarray(maze.wall)[1, 1:5].any() and maze.num_goals == 1
+
+
 def test_open_ring():
     check("#S1...", match="'.' at row 2, column 6 leaves the outer ring open")
     check("SS.1.#", match="'S' at row 2, column 1 leaves the outer ring open")
@@ -74,8 +91,8 @@ def test_no_way():
 def test_sizes():
     with pytest.raises(base.UserError, match="rows = 1 must be at least 3"):
         parsing.parse("#S1#")
-    with pytest.raises(base.UserError, match="columns = 300 must be at least 3 and at most 256"):
-        parsing.parse("\n".join(["#" * 300] * 3))
+    with pytest.raises(base.UserError, match="columns = 2051 must be at least 3 and at most 2050"):
+        parsing.parse("\n".join(["#" * 2051] * 3))
 
 
 def test_numbers_out_of_range():
