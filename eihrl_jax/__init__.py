@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from eihrl_jax.mazes import Maze as Maze
     from eihrl_jax.mazes import load as load_maze
     from eihrl_jax.reporting.evaluations import evaluate as evaluate
+    from eihrl_jax.reporting.trainers import train_high as train_high
+    from eihrl_jax.reporting.trainers import train_low as train_low
     from eihrl_jax.robots import load as load_robot
-    from eihrl_jax.training.high import train as train_high
-    from eihrl_jax.training.low import train as train_low
 
 __version__ = "0.1.0"
 
@@ -50,8 +50,8 @@ _PLACES = {
     "load_maze": "mazes.load",
     "load_robot": "robots.load",
     "presets": "config.presets",
-    "train_high": "training.high.train",
-    "train_low": "training.low.train",
+    "train_high": "reporting.trainers.train_high",
+    "train_low": "reporting.trainers.train_low",
 }
 
 __all__ = [*_PLACES, "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -6,6 +6,7 @@
 import difflib
 import functools
 import os
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from typing import ParamSpec
@@ -25,28 +26,31 @@ def train_high() -> Command:
     """Trains a high level with oracle movement."""
     from eihrl_jax.config import high as high_config
     from eihrl_jax.config import presets
-    from eihrl_jax.training import high
+    from eihrl_jax.reporting import trainers
 
-    return Command(high.train, high_config.HighConfig, presets.HIGH, uses_all_cores=True)
+    return Command(trainers.train_high, high_config.HighConfig, presets.HIGH, uses_all_cores=True)
 
 
 def train_low() -> Command:
     """Trains a low level."""
     from eihrl_jax.config import low as low_config
     from eihrl_jax.config import presets
-    from eihrl_jax.training import low
+    from eihrl_jax.reporting import trainers
 
-    return Command(low.train, low_config.LowConfig, presets.LOW)
+    return Command(trainers.train_low, low_config.LowConfig, presets.LOW)
 
 
 def train_baseline() -> Command:
     """Trains a baseline: flat DroQ, HIGL, HRAC, HIRO or HESS."""
     from eihrl_jax.config import baselines as baselines_config
     from eihrl_jax.config import presets
-    from eihrl_jax.training import baselines
+    from eihrl_jax.reporting import trainers
 
     return Command(
-        baselines.train, baselines_config.BaselineConfig, presets.BASELINES, option="method"
+        trainers.train_baseline,
+        baselines_config.BaselineConfig,
+        presets.BASELINES,
+        option="method",
     )
 
 
@@ -80,6 +84,30 @@ def measure_low() -> Command:
         print(f"written to {options.out}")
 
     return Command(main, measure_config.MeasureConfig)
+
+
+def plot() -> Command:
+    """Draws the learning curves of runs in one picture, seeds together."""
+    from eihrl_jax.config import runs as runs_config
+    from eihrl_jax.reporting import run_comparison
+
+    def main(options: runs_config.PlotConfig) -> None:
+        print(f"written to {run_comparison.plot(options)}")
+
+    return Command(main, runs_config.PlotConfig)
+
+
+def compare() -> Command:
+    """Tells in which options runs differ, what they came to and how long they took."""
+    from eihrl_jax.config import runs as runs_config
+    from eihrl_jax.evaluation import tables
+    from eihrl_jax.reporting import run_comparison
+
+    def main(options: runs_config.CompareRunsConfig) -> None:
+        tables.show(tables.on_terminal(table) for table in run_comparison.compare(options))
+        print(f"their curves: eihrl plot {shlex.join(map(str, options.runs))}")
+
+    return Command(main, runs_config.CompareRunsConfig)
 
 
 def report() -> Command:
@@ -184,6 +212,8 @@ COMMANDS: dict[str, Make] = {
         train_baseline,
         evaluate,
         measure_low,
+        plot,
+        compare,
         report,
         demo,
         value_gap,

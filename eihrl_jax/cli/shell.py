@@ -105,7 +105,10 @@ def _parse(command: command_lib.Command[ConfigT], arguments: list[str], program:
     """Parses the arguments; `--help` shows the defaults of the chosen preset."""
     messages = io.StringIO()
     parsed_type = command.config_type
-    parse = functools.partial(tyro.cli, args=arguments, prog=program)
+    # Options without default are what a command is called with: `eihrl plot RUN RUN`.
+    parse = functools.partial(
+        tyro.cli, args=arguments, prog=program, config=(tyro.conf.PositionalRequiredArgs,)
+    )
     # A preset's values are the parser's defaults, so that it must be known beforehand.
     if command.presets:
         default = command.presets[_chosen(command.presets, arguments, command.option)]

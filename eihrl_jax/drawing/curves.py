@@ -1,6 +1,7 @@
 """Learning curves from the `metrics.csv` of run folders, drawn with matplotlib."""
 
 import csv
+import dataclasses
 import itertools
 import pathlib
 from collections.abc import Mapping, Sequence
@@ -13,10 +14,15 @@ from jaxtyping import Float
 
 from eihrl_jax import base
 from eihrl_jax.drawing import figures, palette
+from eihrl_jax.evaluation import statistics
 
 _LINES = tuple(itertools.product(("-", "--", ":"), palette.CURVE))
 _MARKERS = "os^DvPX"
 _NUM_MARKERS = 3  # per curve: enough to tell it where it runs alone
+_FEW_POINTS = 30
+
+Curve = Float[np.ndarray, "_ 2"]
+"""Points (x, y), x growing."""
 
 
 def columns(path: pathlib.Path) -> tuple[str, ...]:
@@ -32,13 +38,14 @@ def columns(path: pathlib.Path) -> tuple[str, ...]:
         raise base.UserError(f"{path} can't be read: {error}") from None
 
 
-def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
+def read(path: pathlib.Path, x: str, y: str, *, may_be_empty: bool = False) -> Curve:
     """Reads two columns of a `metrics.csv`, leaving out rows in which either is empty or nan.
 
     Args:
       path: the file.
       x: name of the first column.
       y: name of the second column.
+      may_be_empty: whether a run that has no number there yet is no error.
 
     Raises:
       base.UserError: the file can't be read, lacks a column, or holds no number in them.
@@ -53,7 +60,7 @@ def read(path: pathlib.Path, x: str, y: str) -> Float[np.ndarray, "N 2"]:
     except (OSError, ValueError) as error:
         raise base.UserError(f"{path} can't be read: {error}") from None
 
-    if not len(points):
+    if not len(points) and not may_be_empty:
         raise base.UserError(f"{path} holds no values of {x!r} and {y!r}")
     return points
 
@@ -68,43 +75,9 @@ def smooth(values: Float[np.ndarray, " N"], window: int) -> Float[np.ndarray, " 
     return (padded[last] - padded[first]) / (last - first)
 
 
-def save(
-    path: pathlib.Path,
-    curves: Mapping[str, Float[np.ndarray, "_ 2"]],
-    *,
-    x_label: str,
-    y_label: str,
-    y_scale: float = 1.0,
-    y_range: tuple[float, float] | None = None,
-) -> None:
-    """Draws curves, each smoothed, with its raw values behind it, as PNG.
-
-    Args:
-      path: where the picture goes.
-      curves: points by label; one curve gets no legend.
-      x_label: what the horizontal axis is.
-      y_label: what the vertical axis is, with its unit.
-      y_scale: factor on the values, e.g. 100 for per cent.
-      y_range: limits of the vertical axis after scaling; None: as the values need.
-    """
-    axes = new_axes(x_label, y_label)
-    for i, (label, points) in enumerate(curves.items()):
-        colour = palette.CURVE[i % len(palette.CURVE)]
-        x, y = points[:, 0], y_scale * points[:, 1]
-        axes.plot(x, y, color=colour, alpha=0.25, linewidth=1.0)
-        window = max(1, len(y) // 50)  # rows: a fiftieth of the curve
-        axes.plot(x, smooth(y, window), color=colour, linewidth=2.0, label=label)
-
-    if y_range is not None:
-        axes.set_ylim(*y_range)
-    if len(curves) > 1:
-        axes.legend(frameon=False, labelcolor=palette.INK, loc="lower right")
-    write(axes, path)
-
-
 def save_spread(
     path: pathlib.Path,
-    groups: Mapping[str, Sequence[Float[np.ndarray, "_ 2"]]],
+    groups: Mapping[str, Sequence[Curve]],
     *,
     x_label: str,
     y_label: str,
@@ -164,6 +137,86 @@ def save_spread(
     write(axes, path)
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Panel:
+    """Curves that share a vertical axis.
+
+    Attributes:
+      y_label: what the axis is, with its unit.
+      groups: curves by label; those of a group are compared where all of them are, see `aligned`.
+      y_range: limits of the axis; None: as the values need.
+    """
+
+    y_label: str
+    groups: Mapping[str, Sequence[Curve]]
+    y_range: tuple[float, float] | None = None
+
+
+def save_panels(path: pathlib.Path, panels: Sequence[Panel], *, x_label: str) -> None:
+    """Draws panels of curves, one below the other, as PNG.
+
+    A curve alone is smoothed, with its raw values behind it. Several curves of a group are drawn as
+    their mean, with Student's 95 % interval of it as a band.
+
+    Args:
+      path: where the picture goes.
+      panels: one or more; a label has the same line in all of them.
+      x_label: what the horizontal axis is.
+    """
+    figure = figures.new(7.0, 0.8 + 3.2 * len(panels))
+    all_axes = figure.subplots(len(panels), squeeze=False)[:, 0].tolist()
+    labels = list(dict.fromkeys(label for panel in panels for label in panel.groups))
+
+    for axes, panel in zip(all_axes, panels, strict=True):
+        _style(axes, x_label, panel.y_label)
+        for label, curves in panel.groups.items():
+            _draw_mean(axes, curves, label, labels)
+        axes.set_xlim(left=0.0)
+        if panel.y_range is not None:
+            axes.set_ylim(*panel.y_range)
+
+    # Once is enough, and a line that is alone needs no name.
+    if len(labels) > 1:
+        _add_legend(figure, all_axes)
+    figures.save(figure, path)
+
+
+def _draw_mean(
+    axes: matplotlib.axes.Axes, curves: Sequence[Curve], label: str, all_labels: Sequence[str]
+) -> None:
+    """Draws one curve and what it was smoothed from, or the mean of several and its interval."""
+    style, colour = _LINES[all_labels.index(label) % len(_LINES)]
+    x, y = aligned(curves)
+    # Few points are marked, or a single one wouldn't show.
+    marker = "." if len(x) < _FEW_POINTS else None
+    if len(curves) > 1:
+        low, high = np.array([statistics.student(values) for values in y.T]).reshape(-1, 2).T
+        axes.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0.0)
+        line = y.mean(0)
+    else:
+        axes.plot(x, y[0], color=colour, alpha=0.25, linewidth=1.0)
+        line = smooth(y[0], max(1, len(x) // 50))  # rows: a fiftieth of the curve
+    axes.plot(x, line, style, color=colour, linewidth=2.0, marker=marker, label=label)
+
+
+def _add_legend(figure: matplotlib.figure.Figure, all_axes: Sequence[matplotlib.axes.Axes]) -> None:
+    """Names the lines of all axes above them."""
+    handles = {
+        label: handle
+        for axes in all_axes
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        handles=list(handles.values()),
+        labels=list(handles),
+        loc="outside upper left",
+        frameon=False,
+        labelcolor=palette.INK,
+        fontsize=8,
+        handlelength=3.0,
+    )
+
+
 def aligned(
     curves: Sequence[Float[np.ndarray, "_ 2"]],
 ) -> tuple[Float[np.ndarray, " X"], Float[np.ndarray, "C X"]]:
@@ -184,13 +237,18 @@ def aligned(
 def new_axes(x_label: str, y_label: str) -> matplotlib.axes.Axes:
     """Returns empty axes in the style of all pictures."""
     axes = figures.new(7.0, 4.2).add_subplot()
+    _style(axes, x_label, y_label)
+    return axes
+
+
+def _style(axes: matplotlib.axes.Axes, x_label: str, y_label: str) -> None:
+    """Gives axes the style of all pictures."""
     axes.set_facecolor(palette.PAPER)
     figures.label(axes, x_label, y_label)
     axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=" "))
     axes.grid(color=palette.MUTED, alpha=0.25, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(palette.MUTED)
-    return axes
 
 
 def write(axes: matplotlib.axes.Axes, path: pathlib.Path) -> None:

@@ -235,10 +235,10 @@ def _tables(cells: Sequence[results.Cell]) -> list[Table]:
 
 def terminal(cells: Sequence[results.Cell]) -> list[rich.table.Table]:
     """Returns the tables of an evaluation for a `rich` console."""
-    return [_shown(table) for table in _tables(cells)]
+    return [on_terminal(table) for table in _tables(cells)]
 
 
-def _shown(table: Table) -> rich.table.Table:
+def on_terminal(table: Table) -> rich.table.Table:
     """Returns a table for a `rich` console."""
     shown = rich.table.Table(
         title=table.title,
@@ -291,7 +291,7 @@ def of_subgoals(measured: Mapping[str, subgoals.Statistics], robot: str) -> rich
     )
 
     body = [[name, *map(write, measured.values())] for name, write in rows]
-    return _shown(Table("", [robot, *measured], body))
+    return on_terminal(Table("", [robot, *measured], body))
 
 
 def of_drift(drift: Sequence[subgoals.Drift], robot: str) -> rich.table.Table:
@@ -308,7 +308,7 @@ def of_drift(drift: Sequence[subgoals.Drift], robot: str) -> rich.table.Table:
         ]
         for d in drift
     ]
-    return _shown(Table("in their cells, from the centre", head, body))
+    return on_terminal(Table("in their cells, from the centre", head, body))
 
 
 def _or_dash(value: float, form: str) -> str:

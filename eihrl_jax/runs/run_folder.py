@@ -175,6 +175,21 @@ def _flat(options: Json, name: str = "") -> dict[str, Json]:
     return {key: value for part in parts for key, value in part.items()}
 
 
+def read_options(path: pathlib.Path) -> dict[str, Json]:
+    """Returns the options of a run's last start by name, those of an inner config as a.b.
+
+    Raises:
+      UserError: the folder holds no run, or a damaged one.
+    """
+    file = path / _CONFIG
+    if not file.is_file():
+        raise base.UserError(f"{path} holds no run: it has no {_CONFIG}")
+    try:
+        return _flat(json.loads(file.read_text()))
+    except ValueError:
+        raise base.UserError(f"{file} is damaged: no JSON") from None
+
+
 def read_starts(path: pathlib.Path) -> list[dict[str, Json]]:
     """Returns what is known of each start of a run, the first one first.
 

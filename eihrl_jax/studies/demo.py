@@ -8,8 +8,7 @@ from eihrl_jax import base
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import limits, presets
 from eihrl_jax.evaluation import tables
-from eihrl_jax.reporting import evaluations, learning_curve
-from eihrl_jax.training import high
+from eihrl_jax.reporting import evaluations, trainers
 
 
 @limits.dataclass
@@ -35,8 +34,7 @@ def main(config: DemoConfig) -> None:
     run = _new_folder(config.run)
 
     trained = run / "high"
-    high.train(dataclasses.replace(presets.high_best(), run=trained, seed=config.seed))
-    learning_curve.draw(trained)
+    trainers.train_high(dataclasses.replace(presets.high_best(), run=trained, seed=config.seed))
 
     # The paper's Table 1, which are the options' defaults.
     evaluation = evaluations.evaluate(

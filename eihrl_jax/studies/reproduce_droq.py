@@ -66,4 +66,5 @@ def main(config: ReproduceConfig) -> None:
     num_actions, steps = engine.model.nu, forward_run.EPISODE_STEPS
     world = World(wrappers.AutoReset(env), num_actions, side_xy, steps)
     learner = interface.make(world, options)
-    baselines.train_in(baselines.Arena("DroQ on Gym's ant", env, side_xy, learner), options)
+    arena = baselines.Arena("DroQ on Gym's ant", env, side_xy, learner, steps)
+    baselines.train_in(arena, options)

@@ -73,12 +73,7 @@ def main(config: ReproduceConfig) -> None:
     world = World(env, engine.model.nu, env.side_xy, u_maze.EPISODE_STEPS)
     learner = interface.make(world, options)
     title = f"{config.method} in HIGL's U"
-    baselines.train_in(baselines.Arena(title, test_env, env.side_xy, learner), options)
+    arena = baselines.Arena(title, test_env, env.side_xy, learner, u_maze.EPISODE_STEPS)
+    baselines.train_in(arena, options)
 
-    learning_curve.draw(
-        config.run,
-        {"evaluation": "eval/success"},
-        x="step",
-        x_label="control steps",
-        y_label="success at the far end, %",
-    )
+    learning_curve.draw(config.run)

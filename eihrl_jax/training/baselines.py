@@ -44,12 +44,14 @@ class Arena:
       env: the maze.
       side_xy: its sides, units.
       baseline: what learns.
+      episode_steps: control steps of the longest episode.
     """
 
     title: str
     env: RobotEnvironment
     side_xy: tuple[int, int]
     baseline: interface.Baseline
+    episode_steps: int
 
     @functools.cached_property
     def advance(self) -> jax.stages.Wrapped:
@@ -119,7 +121,7 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
             f"period = {config.period} must be smaller than the {steps} control steps of an episode"
         )
     baseline = interface.make(World(trained_in, engine.model.nu, env.side_xy, steps), config)
-    return Arena(f"{config.method} in {config.maze}", env, env.side_xy, baseline)
+    return Arena(f"{config.method} in {config.maze}", env, env.side_xy, baseline, steps)
 
 
 def train(config: config_lib.BaselineConfig, watch: loop.Watch | None = None) -> None:
@@ -201,7 +203,11 @@ class _Job(loop.Job[State]):
 
     def row(self, state: State, metrics: loop.Metrics) -> dict[str, float]:
         """Returns means over the episodes that ended, and over the rounds."""
-        row = metrics_lib.summarise(metrics)
+        # Per environment, as the time limit counts.
+        end = int(state.num_steps) / self.config.num_envs
+        begin = end - self.plan.log_every / self.config.num_envs
+        is_fair = metrics_lib.is_fair(begin, end, self.arena.episode_steps)
+        row = metrics_lib.summarise(metrics, is_fair=is_fair)
         return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
 
     def policy(self, state: State) -> tuple[base.Params, policies.Meta]:

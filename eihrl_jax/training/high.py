@@ -50,15 +50,6 @@ def train(
 
     Raises:
       base.UserError: an option or the run folder is not as it should be.
-
-    >>> learner = high_config.Learner(num_workers=2, num_updates=2)  # presets have thousands
-    >>> task = high_config.Task(maze="u")
-    >>> periods = dict.fromkeys(("log_every", "evaluate_every", "checkpoint_every"), 2)
-    >>> config = high_config.HighConfig(task=task, learner=learner, num_eval_episodes=2, **periods)
-    >>> seconds = train(config)
-    u high level: compiling training ...
-    >>> (config.run / "policy").is_dir()
-    True
     """
     folders.check_free(config.run, resume=config.resume)  # before anything slow
     parallel.connect(config.coordinator, config.num_processes, config.process_id)
@@ -153,7 +144,14 @@ class _Job(loop.Job[LearnerState]):
 
     def row(self, state: LearnerState, metrics: loop.Metrics) -> dict[str, float]:
         """Returns means over the episodes that ended, and over the updates."""
-        row = {"num_decisions": float(state.num_decisions)} | summarise(metrics)
+        # Whole episodes, without a window, are all that began.
+        window, is_fair = self.config.learner.window, True
+        if window is not None:
+            end = int(state.num_updates) * window
+            limit = int(self.env.table.mazes.num_decisions.max())
+            is_fair = metrics_lib.is_fair(end - self.config.log_every * window, end, limit)
+
+        row = {"num_decisions": float(state.num_decisions)} | summarise(metrics, is_fair=is_fair)
         return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
 
     def policy(self, state: LearnerState) -> tuple[base.Params, policies.Meta]:
@@ -237,14 +235,15 @@ def decisions_per_update(agent: peg_a2c.PegA2C) -> int:
     return agent.horizon * agent.learner.num_workers
 
 
-def summarise(metrics: Mapping[str, Any]) -> dict[str, float]:
+def summarise(metrics: Mapping[str, Any], *, is_fair: bool = True) -> dict[str, float]:
     """Turns the metrics of some updates, see `PegA2C.update`, into numbers.
 
     Returns:
-      Means over the episodes that ended, NaN where none did, and means over the updates.
+      Means over the episodes that ended, NaN where none did or where they aren't `is_fair`, and
+      means over the updates.
     """
     counted = {name: values for name, values in metrics.items() if name != "decisions"}
-    return metrics_lib.summarise(counted)
+    return metrics_lib.summarise(counted, is_fair=is_fair)
 
 
 def _mazes(task: high_config.Task, seed: int) -> mazes.Maze:

@@ -115,14 +115,6 @@ def train(config: low_config.LowConfig, watch: loop.Watch | None = None) -> None
 
     Raises:
       base.UserError: an option or the run folder is not as it should be.
-
-    >>> short = {"num_envs": 2, "num_iterations": 2, "warmup_iterations": 1, "num_postures": 4}
-    >>> periods = dict.fromkeys(("log_every", "evaluate_every", "checkpoint_every"), 2)
-    >>> config = low_config.LowConfig(robot="point", capacity=8, **short, **periods)
-    >>> train(config)
-    point low level: compiling training ...
-    >>> (config.run / "policy").is_dir()
-    True
     """
     train_with(LowTrainer(config), config, watch)
 

@@ -94,8 +94,9 @@ def make_arena(method):
     )
     floor = generators.goals_anywhere(mazes.parse(FLOOR, num_decisions=NUM_DECISIONS))
     env = goal_maze.GoalMaze(sled.Disc(), floor)
-    baseline = interface.make(World(env, 2, env.side_xy, NUM_DECISIONS * sled.K), options)
-    return baselines.Arena(method, env, env.side_xy, baseline)
+    steps = NUM_DECISIONS * sled.K
+    baseline = interface.make(World(env, 2, env.side_xy, steps), options)
+    return baselines.Arena(method, env, env.side_xy, baseline, steps)
 
 
 def train(arena, state):

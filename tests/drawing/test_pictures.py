@@ -208,8 +208,17 @@ def test_curve_is_read_and_drawn(tmp_path):
     path.write_text("step,decisions,success\n1,100,0.1\n2,200,\n3,300,0.5\n")
     points = curves.read(path, "decisions", "success")
     np.testing.assert_array_equal(points, [[100, 0.1], [300, 0.5]])
-    curves.save(tmp_path / "curve.png", {"run": points}, x_label="decisions", y_label="success")
-    assert opened(tmp_path / "curve.png").shape[1] > 500
+    panels = [
+        curves.Panel(y_label="success", groups={"one": [points], "other": [points + 1.0]}),
+        curves.Panel(y_label="reward", groups={"other": [points, 2.0 * points]}, y_range=(0, 9)),
+    ]
+    curves.save_panels(tmp_path / "curve.png", panels, x_label="decisions")
+    picture = opened(tmp_path / "curve.png")
+    # The first line is in one panel, the second in both.
+    colours = [tuple(bytes.fromhex(colour[1:])) for colour in palette.CURVE[:2]]
+    middle = len(picture) // 2
+    for half, wanted in ((picture[:middle], [True, True]), (picture[middle:], [False, True])):
+        assert [bool((half == colour).all(-1).any()) for colour in colours] == wanted
 
 
 def test_groups_of_curves_are_drawn_as_far_as_the_shortest_goes(tmp_path):
@@ -261,9 +270,13 @@ def test_curves_upon_each_other_all_show_at_zero_too(tmp_path):
 
 def test_learning_curve_of_a_run(tmp_path):
     rows = ["step,num_decisions,success,eval/success", "1,100,0.1,", "2,200,nan,0.3", "3,300,0.5,"]
+    (tmp_path / "config.json").write_text('{"task": {"reward": "sparse"}}')
+    (tmp_path / "metrics.csv").write_text(rows[0] + "\n")
+    learning_curve.renew(tmp_path)  # before there is a number
+    path = tmp_path / "learning_curve.png"
+    assert not path.exists()
     (tmp_path / "metrics.csv").write_text("\n".join(rows))
-    path = learning_curve.draw(tmp_path)
-    assert path.parent == tmp_path
+    learning_curve.renew(tmp_path)
     assert opened(path).shape[1] > 500
 
 
