@@ -69,6 +69,7 @@ class Navigation(struct.PyTreeNode):
       door_ij: int32 [2], row and column of the open door, or `NO_DOOR`.
       visited: bool [9], goals that have been paid.
       decisions: int32, decisions so far.
+      start_ij: int32 [2], row and column of the cell in which it began.
       seen: bool [R + 2 m, C + 2 m], cells that have been in sight; None without a map.
     """
 
@@ -76,6 +77,7 @@ class Navigation(struct.PyTreeNode):
     door_ij: Int[Array, "2"]
     visited: Bool[Array, "9"]
     decisions: Int[Array, ""]
+    start_ij: Int[Array, "2"]
     seen: Bool[Array, "H W"] | None = None
 
 
@@ -138,13 +140,15 @@ def start(
     cell = jnp.where(is_start & (cell >= door), cell + 1, cell)
     offset = (2.0 * draws[3:] - 1.0) * _of(table.mazes.start_jitter, maze)
 
+    start_ij = _of(table.start_ij, maze)[cell]
     nav = Navigation(
         maze=maze,
         door_ij=_of(table.door_ij, maze)[door],
         visited=jnp.zeros(maze_lib.MAX_GOALS, bool),
         decisions=jnp.int32(0),
+        start_ij=start_ij,
     )
-    return nav, maze_lib.cell_xy(_of(table.start_ij, maze)[cell]) + offset
+    return nav, maze_lib.cell_xy(start_ij) + offset
 
 
 def advance(

@@ -53,6 +53,7 @@ class Evaluated:
       rollouts: its episodes by maze.
       seconds: that they took, compiling left out.
       is_last: whether no other agent follows.
+      ends_when_solved: whether an episode is over with its last goal, as with sparse reward.
     """
 
     agent: results.Agent
@@ -61,6 +62,7 @@ class Evaluated:
     rollouts: dict[str, rollouts.Rollout]
     seconds: float
     is_last: bool
+    ends_when_solved: bool = True
 
     def cells(self) -> list[results.Cell]:
         """Summarises the episodes maze by maze."""
@@ -68,7 +70,9 @@ class Evaluated:
             results.summarise(
                 name,
                 self.agent,
-                rollout.episodes,
+                rollout.episodes
+                if self.ends_when_solved
+                else rollout.episodes.replace(shortest=None),
                 num_goals=int(self.mazes[name].num_goals),
                 num_decisions=int(self.mazes[name].num_decisions),
             )
@@ -93,6 +97,7 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
         seeds=options.seeds,
         num_episodes=options.episodes,
         num_recorded=0 if options.animate == "none" else NUM_RECORDED,
+        recorded=tuple(chosen)[:1] if options.animate == "one" else None,
     )
     prepared = _prepare(options, plan)
 
@@ -107,6 +112,7 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
             rollouts=by_maze,
             seconds=progress.seconds,
             is_last=item is prepared[-1],
+            ends_when_solved=options.reward == "sparse",
         )
 
 

@@ -1,10 +1,14 @@
 """One episode, recorded step by step: what an animation is drawn of."""
 
 import dataclasses
+import math
 
+import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
+from eihrl_jax.envs import hierarchy
 from eihrl_jax.mazes import maze as maze_lib
 
 
@@ -27,3 +31,67 @@ class Recording:
     direction: Int[np.ndarray, " D"] | None
     patch: Bool[np.ndarray, "D P P C"] | None
     is_fallen: Bool[np.ndarray, " T"]
+
+
+class Decision(struct.PyTreeNode):
+    """What episodes did in one decision.
+
+    Attributes:
+      seen: uint8 [..., B], what the high level saw, eight pixels a byte; None for a baseline.
+      action: int32 [...].
+      trace: the way.
+    """
+
+    seen: UInt8[Array, "*n B"] | None
+    action: Int[Array, "*n"]
+    trace: hierarchy.Trace
+
+
+def of_episode(
+    maze: maze_lib.Maze, decisions: Decision, obs: jax.ShapeDtypeStruct | None
+) -> Recording:
+    """Puts together the recording of one episode, in a maze whose door is open.
+
+    Args:
+      maze: the maze.
+      decisions: of the episode.
+      obs: shape of what the high level sees.
+    """
+    # Flattened to moves: [D, k] with a mask, of which the moves after the episode's end fall out.
+    trace, is_running = decisions.trace, np.asarray(decisions.trace.is_running)
+    patch = None
+    if decisions.seen is not None and obs is not None:
+        patch = _cropped(_unpacked(np.asarray(decisions.seen), obs.shape))
+    return Recording(
+        maze=maze,
+        qpos=np.asarray(trace.qpos)[is_running],
+        decision=np.nonzero(is_running)[0],
+        direction=None if patch is None else np.asarray(decisions.action),
+        patch=patch,
+        is_fallen=np.asarray(trace.is_fallen)[is_running],
+    )
+
+
+def _unpacked(
+    seen: UInt8[np.ndarray, "D B"], shape: tuple[int, ...]
+) -> Bool[np.ndarray, "D n m C"]:
+    """Returns the pixels of what was seen."""
+    bits = np.unpackbits(seen, axis=-1, count=math.prod(shape))
+    return bits.reshape(-1, *shape).astype(bool)
+
+
+def _cropped(patch: Bool[np.ndarray, "D n m C"]) -> Bool[np.ndarray, "D k k C"]:
+    """Cuts off the rows and columns of a map in which nothing is ever seen; it stays a square."""
+    _, rows, columns, channels = patch.shape
+    if channels < 4 or not len(patch):  # a view, of which all is seen
+        return patch
+
+    is_seen = ~patch[-1, ..., 3]
+    i, j = np.flatnonzero(is_seen.any(1)), np.flatnonzero(is_seen.any(0))
+    side = max(i[-1] - i[0], j[-1] - j[0]) + 1
+    first = min(i[0], max(0, rows - side)), min(j[0], max(0, columns - side))
+    square = np.zeros((len(patch), side, side, channels), bool)
+    square[..., 3] = True
+    part = patch[:, first[0] : first[0] + side, first[1] : first[1] + side]
+    square[:, : part.shape[1], : part.shape[2]] = part
+    return square

@@ -63,6 +63,7 @@ class Episodes(struct.PyTreeNode):
       has_fallen: bool [E], whether the robot ever fell.
       is_unstable: bool [E], whether its simulation broke down (NaN).
       seed: int [E], evaluation seed.
+      shortest: int [E], moves of the shortest tour of all goals; None where nobody has counted.
     """
 
     achieved: Int[np.ndarray, " E"]
@@ -71,6 +72,7 @@ class Episodes(struct.PyTreeNode):
     has_fallen: Bool[np.ndarray, " E"]
     is_unstable: Bool[np.ndarray, " E"]
     seed: Int[np.ndarray, " E"]
+    shortest: Int[np.ndarray, " E"] | None = None
 
     def outcomes(self, num_goals: int) -> list[str]:
         """Names each episode's outcome, one of `OUTCOMES`."""
@@ -105,6 +107,8 @@ class Cell:
       return_mean: mean undiscounted return.
       decisions_mean: mean number of decisions used.
       decisions_solved: the same over solved episodes; None where there is none.
+      path_ratio: decisions over the moves of the shortest tour, mean over solved episodes; None
+        where there is none, or where episodes go on when they are solved.
       num_falls: episodes in which the robot fell.
       outcomes: number of episodes by outcome.
     """
@@ -120,6 +124,7 @@ class Cell:
     return_mean: float
     decisions_mean: float
     decisions_solved: float | None
+    path_ratio: float | None = None
     num_falls: int
     outcomes: Outcomes
 
@@ -146,7 +151,11 @@ def summarise(
     # Seeds in the order in which they were asked for.
     achieved, seeds = episodes.achieved, tuple(dict.fromkeys(episodes.seed.tolist()))
     counts = collections.Counter(episodes.outcomes(num_goals))
-    solved = episodes.decisions[achieved == num_goals]
+    is_solved = achieved == num_goals
+    solved, ratio = episodes.decisions[is_solved], None
+    if episodes.shortest is not None and len(solved):
+        # Who starts in a goal needs one decision to be paid.
+        ratio = float((solved / np.maximum(episodes.shortest[is_solved], 1)).mean())
 
     return Cell(
         maze=maze,
@@ -160,6 +169,7 @@ def summarise(
         return_mean=float(episodes.returns.mean()),
         decisions_mean=float(episodes.decisions.mean()),
         decisions_solved=float(solved.mean()) if len(solved) else None,
+        path_ratio=ratio,
         num_falls=int(episodes.has_fallen.sum()),
         outcomes=Outcomes(**{name: counts[name] for name in OUTCOMES}),
     )

@@ -14,7 +14,6 @@ from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, UInt32
 
 from eihrl_jax import base, mazes
@@ -22,11 +21,16 @@ from eihrl_jax.envs import hierarchy, raster
 from eihrl_jax.evaluation import recording as recording_lib
 from eihrl_jax.evaluation import results
 from eihrl_jax.mazes import maze as maze_lib
+from eihrl_jax.mazes import paths
 from eihrl_jax.ops import tree
 from eihrl_jax.runs import progress as progress_lib
 
 MAX_ROWS = 1024
 """Most episodes that run at once."""
+
+MAX_BYTES = 2**30
+"""What they may take at once, more than all else an evaluation needs where mazes are huge; half as
+much again may be recorded."""
 
 BINS_PER_CELL = 6
 """Bins along a cell's side, in which visits are counted."""
@@ -53,20 +57,6 @@ class Recordable(Protocol):
         ...
 
 
-class Decision(struct.PyTreeNode):
-    """What episodes did in one decision.
-
-    Attributes:
-      obs: bool [..., P, P, C], what the high level saw; None for a baseline.
-      action: int32 [...].
-      trace: the way.
-    """
-
-    obs: Bool[Array, "*n P P C"] | None
-    action: Int[Array, "*n"]
-    trace: hierarchy.Trace
-
-
 @dataclasses.dataclass(frozen=True)
 class Rollout:
     """All episodes of one agent in one maze.
@@ -91,13 +81,16 @@ class Plan:
       mazes: by name.
       seeds: of the random numbers; each runs all episodes anew.
       num_episodes: per maze and seed.
-      num_recorded: how many of the first seed's episodes are recorded per maze.
+      num_recorded: how many of the first seed's episodes are recorded per maze, fewer where they
+        would take too much memory.
+      recorded: the mazes in which they are; None: in all.
     """
 
     mazes: dict[str, mazes.Maze]
     seeds: tuple[int, ...]
     num_episodes: int
     num_recorded: int = 0
+    recorded: tuple[str, ...] | None = None
 
     @property
     def rows(self) -> Int[np.ndarray, "N 3"]:
@@ -147,12 +140,36 @@ class Runner:
         self._env, self._plan = env, plan
         self._rows, self._mazes = plan.rows, list(plan.mazes.values())
         self._bins = BINS_PER_CELL * np.max([maze.wall.shape for maze in self._mazes], axis=0)
-        self._num_recorded = len(self._mazes) * min(plan.num_recorded, plan.num_episodes)
+        self._is_recorded = np.array([name in (plan.recorded or plan.mazes) for name in plan.mazes])
+        self._recorded_each = self._num_recorded_each()
+        self._num_recorded = int(self._is_recorded.sum()) * self._recorded_each
         # All batches have one size, so that nothing is compiled twice; the last is filled up.
-        num_batches = math.ceil(len(self._rows) / MAX_ROWS)
+        num_batches = math.ceil(len(self._rows) / self._most_rows())
         self._size = math.ceil(len(self._rows) / num_batches)
         self._reset = jax.jit(jax.vmap(env.reset))
         self._compiled: dict[Hashable, jax.stages.Compiled] = {}
+
+    def _most_rows(self) -> int:
+        """Returns how many episodes may run at once."""
+        # A state is held twice, before and after the decision.
+        each = int(self._bins.prod()) + 2 * tree.num_bytes(self._shapes[0])
+        return min(MAX_ROWS, max(1, MAX_BYTES // each))
+
+    def _num_recorded_each(self) -> int:
+        """Returns how many episodes are recorded in each of the mazes in which some are."""
+        state, trace = self._shapes
+        # What is seen is kept in bits.
+        seen = 0 if state.obs is None else math.prod(state.obs.shape) // 8
+        longest = int(self._plan.limits[self._is_recorded].max(initial=1))
+        each = longest * (seen + tree.num_bytes(trace)) * int(self._is_recorded.sum())
+        wanted = min(self._plan.num_recorded, self._plan.num_episodes)
+        return min(wanted, MAX_BYTES // 2 // max(each, 1))
+
+    @functools.cached_property
+    def _shapes(self) -> tuple[base.EnvState, hierarchy.Trace]:
+        """Returns what an episode's state and the way of a decision look like."""
+        state = jax.eval_shape(self._env.reset, jax.random.key(0), jnp.int32(0))
+        return jax.eval_shape(self._env.trace, state, jnp.int32(0))
 
     def run(self, high_policy: HighPolicy, progress: progress_lib.Progress) -> dict[str, Rollout]:
         """Runs the episodes.
@@ -206,7 +223,7 @@ class Runner:
         keys: Key[Array, " E"],
         recorded: Int[Array, " R"],
         t: Int[Array, ""],
-    ) -> tuple[base.EnvState, Bool[Array, "E rows columns"], Decision]:
+    ) -> tuple[base.EnvState, Bool[Array, "E rows columns"], recording_lib.Decision]:
         """Makes decision `t` of every episode that is not over, and picks what is recorded of it.
 
         Args:
@@ -223,13 +240,14 @@ class Runner:
 
         def decide(
             state: base.EnvState, was_there: Bool[Array, "rows columns"], key: Key[Array, ""]
-        ) -> tuple[base.EnvState, Bool[Array, "rows columns"], Decision]:
+        ) -> tuple[base.EnvState, Bool[Array, "rows columns"], recording_lib.Decision]:
             action = high_policy(state.obs, jax.random.fold_in(key, t))
             following, trace = self._env.trace(state, action)
 
             # Over is over: numbers of an episode stay while the others of its batch go on.
             kept = tree.where(state.is_over, state, following)
-            decision = Decision(obs=state.obs, action=action, trace=trace)
+            seen = None if state.obs is None else jnp.packbits(state.obs)
+            decision = recording_lib.Decision(seen=seen, action=action, trace=trace)
             return kept, _mark(was_there, trace), decision
 
         state, was_there, decision = jax.vmap(decide)(state, was_there, keys)
@@ -237,13 +255,13 @@ class Runner:
 
     def _run_batch(
         self,
-        decide: Callable[..., tuple[base.EnvState, Array, Decision]],
+        decide: Callable[..., tuple[base.EnvState, Array, recording_lib.Decision]],
         rows: Int[np.ndarray, "E 3"],
         report: Callable[[base.EnvState], None],
     ) -> _Batch:
         """Runs episodes to their ends."""
         state, was_there, keys, recorded = self._begin(rows)
-        history: list[Decision] = []
+        history: list[recording_lib.Decision] = []
         while not state.is_over.all():
             t = jnp.int32(len(history))  # typed as the program was compiled
             state, was_there, decision = decide(state, was_there, keys, recorded, t)
@@ -267,15 +285,15 @@ class Runner:
 
     def _recorded(self, rows: Int[np.ndarray, "E 3"]) -> Int[np.ndarray, " R"]:
         """Returns which rows of a batch are recorded."""
-        plan = self._plan
-        return np.flatnonzero((rows[:, 0] == plan.seeds[0]) & (rows[:, 2] < plan.num_recorded))
+        is_first = (rows[:, 0] == self._plan.seeds[0]) & (rows[:, 2] < self._recorded_each)
+        return np.flatnonzero(is_first & self._is_recorded[rows[:, 1]])
 
     def _finish(
         self,
         rows: Int[np.ndarray, "E 3"],
         state: base.EnvState,
         was_there: Bool[Array, "_ rows columns"],
-        history: list[Decision],
+        history: list[recording_lib.Decision],
     ) -> _Batch:
         """Reads the numbers, visits and recordings of a batch that is over."""
         nav, metrics, visited = jax.tree.map(
@@ -291,6 +309,7 @@ class Runner:
             has_fallen=metrics.get("fell", never) > 0.0,
             is_unstable=metrics.get("broke_down", never) > 0.0,
             seed=rows[:, 0],
+            shortest=self._shortest(rows[:, 1], nav.start_ij, nav.door_ij),
         )
 
         # Summed per batch: bins of every single episode would pile up in memory.
@@ -303,8 +322,24 @@ class Runner:
             maze, num = rows[row, 1], nav.decisions[row]
             opened = maze_lib.open_door(self._mazes[maze], jnp.asarray(nav.door_ij[row]))
             own = jax.tree.map(lambda leaf, i=i, num=num: leaf[i, :num], decisions)
-            recordings[maze].append(_recording(opened, own))
+            recordings[maze].append(recording_lib.of_episode(opened, own, self._shapes[0].obs))
         return _Batch(episodes, np.stack(visits), recordings)
+
+    def _shortest(
+        self,
+        maze: Int[np.ndarray, " E"],
+        start_ij: Int[np.ndarray, "E 2"],
+        door_ij: Int[np.ndarray, "E 2"],
+    ) -> Int[np.ndarray, " E"]:
+        """Counts the moves of each episode's shortest tour."""
+        shortest = np.zeros(len(maze), int)
+        for index, own in enumerate(self._mazes):
+            doors = np.asarray(own.door)
+            for door in np.unique(door_ij[maze == index], axis=0):
+                is_here = (maze == index) & (door_ij == door).all(1)
+                place = (int(door[0]), int(door[1])) if doors.any() else None
+                shortest[is_here] = paths.tours(own, place)[tuple(start_ij[is_here].T)]
+        return shortest
 
     def _by_maze(self, batches: list[_Batch]) -> dict[str, Rollout]:
         """Sorts what happened in all batches by maze."""
@@ -358,17 +393,3 @@ def _mark(
     # Beyond the last row nothing is marked; a negative index would count from the end.
     i = jnp.where(trace.is_running & (i >= 0) & (j >= 0), i, num_rows)
     return was_there.at[i, j].set(True, mode="drop")
-
-
-def _recording(maze: mazes.Maze, decisions: Decision) -> recording_lib.Recording:
-    """Puts together the recording of one episode, in a maze whose door is open."""
-    # Flattened to moves: [D, k] with a mask, of which the moves after the episode's end fall out.
-    trace, is_running = decisions.trace, np.asarray(decisions.trace.is_running)
-    return recording_lib.Recording(
-        maze=maze,
-        qpos=np.asarray(trace.qpos)[is_running],
-        decision=np.nonzero(is_running)[0],
-        direction=None if decisions.obs is None else np.asarray(decisions.action),
-        patch=None if decisions.obs is None else np.asarray(decisions.obs),
-        is_fallen=np.asarray(trace.is_fallen)[is_running],
-    )

@@ -79,7 +79,7 @@ def spread(over: statistics.RunSpread) -> str:
 def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns one general table for each agent; a whole suite's mean stands above its mazes."""
     # In the order of the cells, which is that of the evaluation.
-    header = ["maze", "success %", "95 %", "return", "decisions", "falls", "episodes"]
+    header = ["maze", "success %", "95 %", "return", "decisions", "path ratio", "falls", "episodes"]
     by_agent: dict[results.Agent, dict[str, results.Cell]] = {}
     for cell in cells:
         by_agent.setdefault(cell.agent, {})[cell.maze] = cell
@@ -107,6 +107,7 @@ def _maze_row(cell: results.Cell, indent: str) -> list[str]:
         interval(cell.success),
         f"{cell.return_mean:.2f}",
         f"{cell.decisions_mean:.1f} / {cell.num_decisions}",
+        _path_ratio([cell]),
         _falls([cell]),
         str(cell.num_episodes),
     ]
@@ -120,9 +121,16 @@ def _suite_row(suite: str, cells: Sequence[results.Cell]) -> list[str]:
         "-",
         f"{np.mean([cell.return_mean for cell in cells]):.2f}",
         f"{np.mean([cell.decisions_mean for cell in cells]):.1f}",
+        _path_ratio(cells),
         _falls(cells),
         str(sum(cell.num_episodes for cell in cells)),
     ]
+
+
+def _path_ratio(cells: Sequence[results.Cell]) -> str:
+    """Returns the mean path ratio over some mazes, those left out in which nothing was solved."""
+    ratios = [cell.path_ratio for cell in cells if cell.path_ratio is not None]
+    return f"{np.mean(ratios):.2f}" if ratios else "-"
 
 
 def _falls(cells: Sequence[results.Cell]) -> str:

@@ -7,8 +7,9 @@ Distances are counted in moves; -1 stands for a cell that can't be reached.
 from collections.abc import Iterable
 
 import numpy as np
-from jaxtyping import Bool, Int
-from scipy import ndimage
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
 
 from eihrl_jax.mazes.maze import Maze
 
@@ -64,6 +65,36 @@ def arrivals(maze: Maze, start: Cell | None = None, door: Cell | None = None) ->
     return [int(layer[layer >= 0].min()) if (layer >= 0).any() else -1 for layer in moves[1:]]
 
 
+def tours(maze: Maze, door: Cell | None = None) -> Int[np.ndarray, "R C"]:
+    """Counts the moves of the shortest tour of all goals, in any order, from every cell.
+
+    Args:
+      maze: one maze, no door drawn.
+      door: the door candidate that is open; None: none is, and goal 1 is a region of the text.
+
+    Returns:
+      int32 [R, C]; -1 where there is no such tour.
+    """
+    free, goal = _free(maze), np.array(maze.goal)  # copies, in which the door is opened
+    if door is not None:
+        free[door], goal[door] = True, 1
+    all_visited = (1 << int(maze.num_goals)) - 1
+
+    # From the end backwards: what is left once these goals have been visited, as bits.
+    graph = _neighbours(free)
+    left = {all_visited: np.where(free, 0.0, np.inf)}
+    for visited in range(all_visited - 1, -1, -1):
+        ends = np.full(free.shape, np.inf)
+        for number in range(1, int(maze.num_goals) + 1):
+            after = visited | 1 << (number - 1)
+            if after != visited:
+                ends = np.where(goal == number, left[after], ends)
+        left[visited] = _nearest(graph, np.where(free, ends, np.inf))
+
+    moves = left[0]
+    return np.where(np.isfinite(moves), moves, -1).astype(np.int32)
+
+
 def longest_tour(maze: Maze) -> int:
     """Bounds the moves that a shortest tour of the goals in order takes, over all starts and doors.
 
@@ -97,6 +128,25 @@ def way_to_door(reached: Int[np.ndarray, "R C"], door: Cell) -> int:
 def _free(maze: Maze) -> Bool[np.ndarray, "R C"]:
     """Returns the cells that can be entered while no door is open."""
     return ~np.asarray(maze.wall)
+
+
+def _neighbours(free: Bool[np.ndarray, "R C"]) -> sparse.csr_array:
+    """Returns the graph of the moves between neighbouring free cells, numbered in reading order."""
+    number = np.arange(free.size).reshape(free.shape)
+    along, down = free[:, 1:] & free[:, :-1], free[1:] & free[:-1]
+    one = np.concatenate([number[:, :-1][along], number[:-1][down]])
+    other = np.concatenate([number[:, 1:][along], number[1:][down]])
+    return sparse.csr_array((np.ones(len(one)), (one, other)), shape=(free.size, free.size))
+
+
+def _nearest(graph: sparse.csr_array, ends: Float[np.ndarray, "R C"]) -> Float[np.ndarray, "R C"]:
+    """Returns for every cell the least sum of the moves to an end and what the end itself costs."""
+    # All ends hang on one more place; its moves are 1 too long, for 0 would be no connection.
+    costs = ends.ravel()[None] + 1.0
+    to_ends = sparse.csr_array(np.where(np.isfinite(costs), costs, 0.0))
+    place = sparse.block_array([[graph, None], [to_ends, sparse.csr_array((1, 1))]], format="csr")
+    moves = csgraph.dijkstra(place, directed=False, indices=ends.size)
+    return moves[:-1].reshape(ends.shape) - 1.0
 
 
 def _moves(

@@ -1,10 +1,10 @@
 """Pytrees as wholes."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, PyTree
 
 TreeT = TypeVar("TreeT")
 
@@ -17,3 +17,8 @@ def where(condition: Bool[Array, "..."], if_true: TreeT, if_false: TreeT) -> Tre
 def merge_axes(tree: TreeT, num: int) -> TreeT:
     """Returns a pytree whose `num` leading axes have become one."""
     return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[num:]), tree)
+
+
+def num_bytes(tree: PyTree[Any]) -> int:
+    """Returns the memory that a pytree's leaves take, arrays or what stands for their shapes."""
+    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))

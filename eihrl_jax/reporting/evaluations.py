@@ -29,7 +29,7 @@ from eihrl_jax.runs import folders, versions
 
 _EPISODE_COLUMNS = (
     *("robot", "movement", "high", "low", "maze", "seed", "episode", "achieved", "goals"),
-    *("return", "decisions", "fell", "outcome"),
+    *("return", "decisions", "fell", "outcome", "shortest"),
 )
 
 
@@ -80,7 +80,7 @@ def _write(evaluated: evaluation_lib.Evaluated, options: evaluate_config.Evaluat
         _draw_heatmaps(options.out, evaluated)
 
     # "one": the last agent's first maze, a single picture for the whole evaluation.
-    names = list(evaluated.rollouts)
+    names = [name for name, rollout in evaluated.rollouts.items() if rollout.recordings]
     num = {"all": len(names), "one": int(evaluated.is_last), "none": 0}[options.animate]
     for name in names[:num]:
         _animate(options.out, evaluated, name)
@@ -100,12 +100,13 @@ def _write_episodes(path: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> 
                 *(episodes.seed.tolist(), episodes.achieved.tolist(), episodes.returns.tolist()),
                 *(episodes.decisions.tolist(), episodes.has_fallen.tolist()),
                 episodes.outcomes(num_goals),
+                [""] * len(episodes.seed) if episodes.shortest is None else episodes.shortest,
             )
             numbers = collections.defaultdict[int, Iterator[int]](itertools.count)  # by seed
-            for seed, achieved, paid, decisions, fell, outcome in zip(*columns, strict=True):
+            for seed, achieved, paid, decisions, fell, outcome, moves in zip(*columns, strict=True):
                 row = [agent.robot, agent.movement, agent.high, agent.low or "", maze, seed]
                 row += [next(numbers[seed]), achieved, num_goals, paid, decisions, int(fell)]
-                writer.writerow([*row, outcome])
+                writer.writerow([*row, outcome, moves])
 
 
 def _draw_heatmaps(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:

@@ -207,6 +207,7 @@ def move(env, xy, displacement):
         door_ij=jnp.array([task.NO_DOOR] * 2),
         visited=jnp.zeros(9, bool),
         decisions=jnp.int32(0),
+        start_ij=jnp.zeros(2, jnp.int32),
     )
     return jax.jit(env.move)(nav, jnp.array(xy), jnp.array(displacement))
 

@@ -34,6 +34,7 @@ def at(table, **fields):
         door_ij=jnp.array([task.NO_DOOR] * 2),
         visited=jnp.zeros(9, bool),
         decisions=jnp.int32(0),
+        start_ij=jnp.zeros(2, jnp.int32),
     )
     return nav.replace(**fields)
 

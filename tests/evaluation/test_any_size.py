@@ -70,6 +70,7 @@ def test_who_knows_the_map_goes_the_shortest_way(folder):
         episodes = run(high, maze)
         assert high.view_in(mazes.stack([maze])).knows == "map"
         np.testing.assert_array_equal(episodes.decisions, paths.longest_tour(maze))
+        np.testing.assert_array_equal(episodes.shortest, episodes.decisions)
 
 
 @pytest.mark.parametrize("name", ["search", "frontier"])

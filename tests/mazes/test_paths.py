@@ -1,5 +1,8 @@
+import itertools
+
 import numpy as np
 
+from eihrl_jax import mazes
 from eihrl_jax.mazes import parsing, paths
 
 
@@ -68,3 +71,28 @@ def test_arrival_at_a_door_that_is_closed():
     maze = parsing.parse("#####\n#S.D#\n#####")
     assert paths.arrivals(maze) == [-1]
     assert paths.arrivals(maze, (1, 1), (1, 3)) == [2]
+
+
+def test_tours_of_every_cell_equal_those_that_all_orders_give():
+    """By permutations of three goals that are single cells, in a room with walls."""
+    maze = mazes.parse(
+        """
+        #######
+        #S.#.3#
+        #.....#
+        #1#.#2#
+        #..S..#
+        #######
+        """.replace("        ", "")
+    )
+    free = ~np.asarray(maze.wall)
+    goals = [paths.cells(np.asarray(maze.goal) == number)[0] for number in (1, 2, 3)]
+    ways = {goal: paths.distances(free, [goal]) for goal in goals}
+    moves = paths.tours(maze)
+    for cell in paths.cells(free):
+        expected = min(
+            sum(ways[after][before] for before, after in itertools.pairwise([cell, *order]))
+            for order in itertools.permutations(goals)
+        )
+        assert moves[cell] == expected
+    assert (moves[~free] == -1).all()

@@ -153,9 +153,10 @@ def test_random_walk_succeeds_as_often_as_on_the_grid():
     assert found.success.low < 0.076 < found.success.high
 
 
-def test_batches_change_nothing(monkeypatch):
+@pytest.mark.parametrize("limit", ["MAX_ROWS", "MAX_BYTES"])
+def test_batches_change_nothing(monkeypatch, limit):
     together = random_walk(6, seeds=(0, 1), num_recorded=2)
-    monkeypatch.setattr(rollouts, "MAX_ROWS", 5)
+    monkeypatch.setattr(rollouts, limit, 5 if limit == "MAX_ROWS" else 60_000)
     apart = random_walk(6, seeds=(0, 1), num_recorded=2)
     for field in dataclasses.fields(results.Episodes):
         np.testing.assert_array_equal(
@@ -164,6 +165,12 @@ def test_batches_change_nothing(monkeypatch):
     np.testing.assert_array_equal(together.share, apart.share)
     assert len(together.recordings) == len(apart.recordings) == 2
     np.testing.assert_array_equal(together.recordings[1].qpos, apart.recordings[1].qpos)
+
+
+def test_no_more_is_recorded_than_memory_holds(monkeypatch):
+    monkeypatch.setattr(rollouts, "MAX_BYTES", 1_000)
+    rollout = random_walk(3, num_recorded=3)
+    assert len(rollout.recordings) == 0 and len(rollout.episodes.achieved) == 3
 
 
 def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, monkeypatch, capsys):
