@@ -57,7 +57,8 @@ ONLY_IN = {
     "brax": (),
     "gymnasium": ("eihrl_jax/envs/gymnasium_maze.py", "eihrl_jax/benchmarks/low.py"),
     "matplotlib": ("eihrl_jax/drawing/", "eihrl_jax/reporting/"),
-    "PIL": ("eihrl_jax/drawing/", "eihrl_jax/reporting/"),
+    "PIL": ("eihrl_jax/drawing/", "eihrl_jax/reporting/", "eihrl_jax/mazes/readers/pictures.py"),
+    "yaml": ("eihrl_jax/mazes/readers/pictures.py",),
     "tyro": ("eihrl_jax/cli/",),
 }
 """Where a package that moves may be imported."""

@@ -1,30 +1,34 @@
-"""Mazes by name, by the name of their suite, and from text files."""
+"""Mazes by name, by the name of their suite, and from files of many kinds; our own files."""
 
 import pathlib
 from collections.abc import Iterable
 
 from eihrl_jax import base
-from eihrl_jax.mazes import parsing, suites
+from eihrl_jax.config import reading
+from eihrl_jax.mazes import parsing, readers, suites
 from eihrl_jax.mazes.maze import Maze
 
 NAMES = ("random", "u", "s", "spiral", "g1", "g2", "g3")
 """Names of the paper's mazes."""
 
-_MAX_BYTES = 4 * parsing.MAX_SIZE**2
-"""Size above which a file can't be a maze."""
 
-
-def load(name_or_path: str | pathlib.Path, *, num_decisions: int | None = None) -> Maze:
-    """Loads a maze by its name, the paper's or one of a suite, or from a text file.
+def load(
+    name_or_path: str | pathlib.Path,
+    *,
+    num_decisions: int | None = None,
+    options: reading.ReadingConfig | None = None,
+) -> Maze:
+    """Loads a maze by its name, the paper's or one of a suite, or from a file of any known kind.
 
     Args:
       name_or_path: one of `NAMES`, a name such as `jaxued-labyrinth` (see `suites.mazes`), else the
-        path of a text file (legend: `parsing`).
-      num_decisions: time limit in subgoals; None: the suite's own if it has one, else see
-        `parsing.parse`.
+        path of a file, see `docs/mazes.md`.
+      num_decisions: time limit in subgoals; None: that of the suite, file or kind of file if it has
+        one, else see `parsing.default_limit`.
+      options: what a file leaves open.
 
     Raises:
-      base.UserError: unknown name, a suite's, unreadable file, or a text that is not a maze.
+      base.UserError: unknown name, a suite's, unreadable file, or a file that is no maze.
 
     >>> int(load("spiral").num_goals), int(load("spiral").num_decisions)
     (5, 200)
@@ -32,7 +36,9 @@ def load(name_or_path: str | pathlib.Path, *, num_decisions: int | None = None) 
     name = str(name_or_path)
     named = suites.find(name)
     if named is None:
-        return parsing.parse(_read(pathlib.Path(name)), name=name, num_decisions=num_decisions)
+        plan = read(name, options)
+        limit = plan.num_decisions if num_decisions is None else num_decisions
+        return parsing.parse(plan.text, name=name, num_decisions=limit, first=plan.first)
     return parsing.parse(
         named.text,
         name=name,
@@ -65,25 +71,37 @@ def load_all(names: Iterable[str], *, num_decisions: int | None = None) -> dict[
     return chosen
 
 
-def _read(path: pathlib.Path) -> str:
-    """Reads the text of a maze file."""
+def read(path: str | pathlib.Path, options: reading.ReadingConfig | None = None) -> readers.Plan:
+    """Reads the plan of a maze from a file of any kind that is known, see `load`.
+
+    Raises:
+      base.UserError: the file can't be read, or is no maze of its kind.
+    """
     maze = f"maze {str(path)!r}"
     if str(path) in suites.NAMES:
         mazes = ", ".join(suites.mazes(str(path)))
         raise base.UserError(f"{maze}: a suite of several mazes, name one of {mazes}")
+    if not readers.exists(pathlib.Path(path)):
+        known = f"one of {', '.join(NAMES)}, nor a maze of {', '.join(suites.NAMES[1:])}"
+        raise base.UserError(f"{maze}: neither a file nor {known}")
+    return readers.read(pathlib.Path(path), options or reading.ReadingConfig(), maze)
 
+
+def save(path: str | pathlib.Path, maze: Maze) -> None:
+    """Writes a maze as one of our files, from which `load` makes the same maze again.
+
+    Args:
+      path: a new file.
+      maze: one maze, no candidate drawn.
+
+    Raises:
+      base.UserError: the file exists, or can't be written.
+    """
     try:
-        if not path.exists():
-            known = f"one of {', '.join(NAMES)}, nor a maze of {', '.join(suites.NAMES[1:])}"
-            raise base.UserError(f"{maze}: neither a file nor {known}")
-        if not path.is_file():
-            raise base.UserError(f"{maze}: not a file")
-        # Asked before it is read: any file may have been named by mistake.
-        size = path.stat().st_size
-        if size > _MAX_BYTES:
-            raise base.UserError(f"{maze}: {size} bytes, at most {_MAX_BYTES}")
-        return path.read_text(encoding="utf-8-sig")  # some editors write a byte order mark
+        # "x": what is there, a planted link as well, is never written over.
+        with pathlib.Path(path).open("x", encoding="utf-8") as file:
+            file.write(parsing.text_of(maze))
+    except FileExistsError:
+        raise base.UserError(f"{path} exists; a maze is saved to a new file") from None
     except OSError as error:
-        raise base.UserError(f"{maze}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise base.UserError(f"{maze}: not a text in UTF-8") from error
+        raise base.UserError(f"{path}: {error.strerror}") from None

@@ -3,8 +3,11 @@
 Legend: `#` wall, `.` free, `S` start candidate, `1` to `9` goal regions; candidates of which one is
 drawn per episode and becomes goal 1: `D` doors, of which the others are wall, or `G` free cells,
 with `*` for one that is a start candidate too. The text includes the outer ring, which holds only
-walls, goal regions and doors. In messages rows and columns are counted from 1, as text editors do.
+walls, goal regions and doors. Above it may stand `decisions 450`, the time limit in subgoals, and
+`jitter 0.5`, see `parse`. In messages rows and columns are counted from 1, as text editors do.
 """
+
+import re
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +21,18 @@ from eihrl_jax.mazes.maze import MAX_GOALS, Maze
 MIN_SIZE, MAX_SIZE = 3, 2050
 """Smallest and largest number of rows and of columns, outer ring included."""
 
+MIN_DECISIONS = 24
+"""Least time limit of a maze that brings none (the paper's least, Table 3 divided by 25)."""
+
+START_JITTER = 0.5
+"""Half-width in units of the offset from a start's centre, where nothing else is asked for."""
+
 DIGITS = "123456789"
 
 STARTS, CANDIDATES = "S*", "DG*"
 """Where an episode may start, and of what one is drawn to be goal 1."""
+
+_HEAD = re.compile(r"(decisions|jitter) +(\S+)")
 
 
 def parse(
@@ -29,7 +40,8 @@ def parse(
     *,
     name: str = "maze",
     num_decisions: int | None = None,
-    start_jitter: float = 0.5,
+    start_jitter: float | None = None,
+    first: paths.Cell = (0, 0),
 ) -> Maze:
     """Reads a maze from its text.
 
@@ -38,20 +50,25 @@ def parse(
     Args:
       text: rows of cells, see the legend above.
       name: how messages call the maze.
-      num_decisions: time limit in subgoals; None: four times the moves of a shortest tour of
-        the goals in their order from the worst start and to the worst door, at least 24.
-      start_jitter: half-width of the uniform offset from the start's centre, in [0, 1.5) units.
+      num_decisions: time limit in subgoals; None: the text's own, else see `default_limit`.
+      start_jitter: half-width of the uniform offset from the start's centre, in [0, 1.5) units;
+        None: the text's own, else 0.5.
+      first: row and column of the text that messages call row 1, column 1.
 
     Raises:
       base.UserError: the text is not a maze in which every start leads to every goal and door.
     """
+    head, grid = read_grid(text, name)
+    if start_jitter is None:
+        start_jitter = _number(name, "jitter", head) if "jitter" in head else START_JITTER
     checks.in_range(f"{name}: start_jitter", start_jitter, 0.0, below=base.CELL / 2)
+    if num_decisions is None and "decisions" in head:
+        num_decisions = int(_number(name, "decisions", head))
     if num_decisions is not None:
         checks.in_range(f"{name}: num_decisions", num_decisions, 1, limits.MAX_DECISIONS)
 
-    grid = _grid(text, name)
-    _check_cells(grid, name)
-    _check_ways(grid, name)
+    _check_cells(grid, name, first)
+    _check_ways(grid, name, first)
 
     is_door = np.isin(grid, list(CANDIDATES))
     goal = np.where(np.isin(grid, list(DIGITS)), grid, "0").astype(np.int32)
@@ -66,14 +83,69 @@ def parse(
     }
     # `jnp.asarray` of each would compile a program for every shape of a maze.
     maze = Maze(**jax.device_put(fields))
-    if num_decisions is None:
-        maze = maze.replace(num_decisions=jnp.int32(max(24, 4 * paths.longest_tour(maze))))
-    return maze
+    return maze if num_decisions is not None else maze.replace(num_decisions=default_limit(maze))
 
 
-def _grid(text: str, name: str) -> np.ndarray:
-    """Splits the text into one character per cell, [R, C]."""
-    lines = [line.rstrip() for line in text.splitlines()]
+def default_limit(maze: Maze) -> jax.Array:
+    """Returns the time limit of a maze that brings none, int32 and in subgoals.
+
+    Four times the moves of a shortest tour of the goals in their order from the worst start and to
+    the worst candidate, at least 24.
+    """
+    return jnp.int32(max(MIN_DECISIONS, 4 * paths.longest_tour(maze)))
+
+
+def text_of(maze: Maze) -> str:
+    """Writes a maze as `parse` reads it, with head lines where it isn't as others are."""
+    wall, door, start = (np.asarray(mask) for mask in (maze.wall, maze.door, maze.start))
+    goal = np.asarray(maze.goal)
+    kinds = [wall & door, wall, door & start, door, start, goal > 0]
+    grid = np.select(kinds, ["D", "#", "*", "G", "S", goal.astype("U1")], default=".")
+
+    head = []
+    if maze.num_decisions != default_limit(maze):
+        head.append(f"decisions {int(maze.num_decisions)}\n")
+    # The shortest text that is the same number in float32.
+    if maze.start_jitter != START_JITTER:
+        head.append(f"jitter {np.asarray(maze.start_jitter)[()]}\n")
+    return "".join(head) + "".join("".join(row) + "\n" for row in grid)
+
+
+def read_grid(text: str, name: str) -> tuple[dict[str, str], np.ndarray]:
+    """Splits a text into its head lines, word by word, and one character per cell, [R, C].
+
+    Raises:
+      base.UserError: an unknown character, rows of different lengths, or a grid out of its limits.
+    """
+    # In every ending that editors write, but in no other that Unicode knows.
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    head, lines = _split_head([line.rstrip(" \t") for line in lines])
+    return head, _grid(lines, name)
+
+
+def _split_head(lines: list[str]) -> tuple[dict[str, str], list[str]]:
+    """Splits what stands above the rows from the rows."""
+    head: dict[str, str] = {}
+    for i, line in enumerate(lines):
+        found = _HEAD.fullmatch(line)
+        if line and not found:
+            return head, lines[i:]
+        if found:
+            head[found[1]] = found[2]
+    return head, []
+
+
+def _number(name: str, word: str, head: dict[str, str]) -> float:
+    """Reads the number of a head line."""
+    try:
+        return int(head[word]) if word == "decisions" else float(head[word])
+    except ValueError:
+        kind = "a whole number" if word == "decisions" else "a number"
+        raise base.UserError(f"{name}: {word} {head[word]!r} is not {kind}") from None
+
+
+def _grid(lines: list[str], name: str) -> np.ndarray:
+    """Turns lines into one character per cell, [R, C]."""
     filled = [i for i, line in enumerate(lines) if line]
     if not filled:
         raise base.UserError(f"{name}: the text is empty")
@@ -98,13 +170,13 @@ def _grid(text: str, name: str) -> np.ndarray:
     return np.array([list(line) for line in lines])
 
 
-def _check_cells(grid: np.ndarray, name: str) -> None:
+def _check_cells(grid: np.ndarray, name: str, first: paths.Cell) -> None:
     """Checks that starts and goals are there, numbered without gaps, and the ring is closed."""
     ring = np.ones(grid.shape, bool)
     ring[1:-1, 1:-1] = False
     for cell in paths.cells(ring & np.isin(grid, list(".SG*"))):
         raise base.UserError(
-            f"{name}: {str(grid[cell])!r} at {_where(cell)} leaves the outer ring open; "
+            f"{name}: {str(grid[cell])!r} at {_where(cell, first)} leaves the outer ring open; "
             "only # D and 1 to 9 may be there"
         )
 
@@ -113,7 +185,8 @@ def _check_cells(grid: np.ndarray, name: str) -> None:
         raise base.UserError(f"{name}: no start; mark at least one cell with S")
     if len(starts) == 1 and grid[starts[0]] == "*":
         raise base.UserError(
-            f"{name}: the only start, at {_where(starts[0])}, may be the goal; mark another one"
+            f"{name}: the only start, at {_where(starts[0], first)}, may be the goal; "
+            "mark another one"
         )
 
     has_door = bool(np.isin(grid, list(CANDIDATES)).any())
@@ -124,40 +197,45 @@ def _check_cells(grid: np.ndarray, name: str) -> None:
     doors, free = paths.cells(grid == "D"), paths.cells(np.isin(grid, list("G*")))
     if doors and free:
         raise base.UserError(
-            f"{name}: door candidate at {_where(doors[0])} beside the free one at "
-            f"{_where(free[0])}; candidates are all D, or all G and *"
+            f"{name}: door candidate at {_where(doors[0], first)} beside the free one at "
+            f"{_where(free[0], first)}; candidates are all D, or all G and *"
         )
     # The open door is goal 1, so regions are numbered on from there.
     if has_door and 1 in present:
         raise base.UserError(
-            f"{name}: goal 1 at {_where(paths.cells(grid == '1')[0])} beside door candidates; "
-            "the open door is goal 1, so regions are numbered from 2"
+            f"{name}: goal 1 at {_where(paths.cells(grid == '1')[0], first)} beside door "
+            "candidates; the open door is goal 1, so regions are numbered from 2"
         )
     # The first number that isn't the next one is named; there may be more of them behind it.
     for number, expected in zip(present, range(2 if has_door else 1, MAX_GOALS + 1), strict=False):
         if number != expected:
-            where = _where(paths.cells(grid == str(number))[0])
+            where = _where(paths.cells(grid == str(number))[0], first)
             raise base.UserError(f"{name}: goal {number} at {where}, but there is no {expected}")
 
 
-def _check_ways(grid: np.ndarray, name: str) -> None:
+def _check_ways(grid: np.ndarray, name: str, first: paths.Cell) -> None:
     """Checks that every start leads to every goal and door without passing another door."""
-    first = paths.cells(np.isin(grid, list(STARTS)))[0]
-    no_way = f"{name}: no way from the start at {_where(first)} to"
+    starts = np.isin(grid, list(STARTS))
+    source = paths.cells(starts)[0]
     # What the first start reaches, the others reach by way of it.
-    reached = paths.distances((grid != "#") & (grid != "D"), [first])
+    reached = paths.distances(~np.isin(grid, ["#", "D"]), [source])
+    reached = paths.with_doors(reached, grid == "D")
 
-    unreached = reached < 0
-    for start in paths.cells(unreached & np.isin(grid, list(STARTS))):
-        raise base.UserError(f"{no_way} the start at {_where(start)}")
-    for goal in paths.cells(unreached & np.isin(grid, list(DIGITS + "G"))):
-        label = "the candidate" if grid[goal] == "G" else f"goal {grid[goal]}"
-        raise base.UserError(f"{no_way} {label} at {_where(goal)}")
-    for door in paths.cells(grid == "D"):
-        if paths.way_to_door(reached, door) < 0:
-            raise base.UserError(f"{no_way} the door candidate at {_where(door)}")
+    kinds = {
+        "the start": starts,
+        "goal": np.isin(grid, list(DIGITS)),
+        "the candidate": grid == "G",
+        "the door candidate": grid == "D",
+    }
+    for kind, mask in kinds.items():
+        for cell in paths.cells(mask & (reached < 0))[:1]:
+            what = f"goal {grid[cell]}" if kind == "goal" else kind
+            raise base.UserError(
+                f"{name}: no way from the start at {_where(source, first)} to {what} at "
+                f"{_where(cell, first)}"
+            )
 
 
-def _where(cell: paths.Cell) -> str:
+def _where(cell: paths.Cell, first: paths.Cell = (0, 0)) -> str:
     """Returns where a cell is in the words of a text editor, which counts from 1."""
-    return f"row {cell[0] + 1}, column {cell[1] + 1}"
+    return f"row {cell[0] - first[0] + 1}, column {cell[1] - first[1] + 1}"

@@ -16,6 +16,9 @@ from eihrl_jax.mazes.maze import Maze
 Cell = tuple[int, int]
 """Row and column of a cell, counted from 0."""
 
+_FAR = 2**31 - 2
+"""More moves than any way has."""
+
 
 def distances(free: Bool[np.ndarray, "R C"], sources: Iterable[Cell]) -> Int[np.ndarray, "R C"]:
     """Counts the moves from the nearest of some cells to every cell.
@@ -111,18 +114,23 @@ def longest_tour(maze: Maze) -> int:
     reached = distances(_free(maze), [middle])
     to_middle = int(reached[np.asarray(maze.start)].max())
 
-    doors = cells(np.asarray(maze.door))
-    farthest = max(doors, key=lambda door: way_to_door(reached, door)) if doors else None
+    door, farthest = np.asarray(maze.door), None
+    if door.any():
+        ways = np.where(door, with_doors(reached, door), -1)
+        i, j = np.unravel_index(ways.argmax(), ways.shape)
+        farthest = (int(i), int(j))
     return to_middle + arrivals(maze, middle, farthest)[-1]
 
 
-def way_to_door(reached: Int[np.ndarray, "R C"], door: Cell) -> int:
-    """Returns the moves to a candidate, given those to other cells; -1 where there is no way."""
+def with_doors(
+    reached: Int[np.ndarray, "R C"], door: Bool[np.ndarray, "R C"]
+) -> Int[np.ndarray, "R C"]:
+    """Adds to the moves to all cells those to doors, which are wall to each other; -1: no way."""
     # Doors lie in the ring, where a neighbour may be beyond the grid: padded as out of reach.
-    around = np.pad(reached, 1, constant_values=-1)
-    i, j = door[0] + 1, door[1] + 1
-    nearest = [int(n) for n in around[[i - 1, i + 1, i, i], [j, j, j - 1, j + 1]] if n >= 0]
-    return min(nearest) + 1 if nearest else -1
+    far = np.pad(np.where(reached < 0, _FAR, reached), 1, constant_values=_FAR)
+    nearest = np.minimum.reduce([far[:-2, 1:-1], far[2:, 1:-1], far[1:-1, :-2], far[1:-1, 2:]])
+    is_new = door & (reached < 0) & (nearest < _FAR)
+    return np.where(is_new, nearest + 1, reached)
 
 
 def _free(maze: Maze) -> Bool[np.ndarray, "R C"]:

@@ -1,0 +1,103 @@
+"""Reads mazes that other projects write; what kind a file is, its content says, never its name."""
+
+import pathlib
+import re
+
+from eihrl_jax import base
+from eihrl_jax.config import reading
+from eihrl_jax.mazes import parsing
+from eihrl_jax.mazes.readers import levels, lists, moving_ai, pictures
+from eihrl_jax.mazes.readers.plan import Plan, solver_limit
+
+__all__ = ["OURS", "Plan", "exists", "read", "solver_limit"]
+
+OURS = "maze"
+"""The kind of our own files."""
+
+MAX_BYTES = 4 * parsing.MAX_SIZE**2
+"""Size above which a file that is no picture can't be a maze."""
+
+_YAML = re.compile(r"(\s*#[^\n]*\n|\s*\n)*(---|%YAML|!|&|[A-Za-z_]\w*[ \t]*:([ \t]|\n|$))")
+
+
+def read(path: pathlib.Path, options: reading.ReadingConfig, name: str) -> Plan:
+    """Reads the plan of a maze from a file of any kind that is known.
+
+    Args:
+      path: the file.
+      options: what the file leaves open.
+      name: how messages call the maze.
+
+    Raises:
+      base.UserError: the file can't be read, or is no maze of its kind.
+    """
+    data = _bytes(path, name)
+    if pictures.format_of(data, name) is not None:
+        return pictures.of_picture(data, options, name).with_places(options, name)
+    if data.startswith(b"\x93NUMPY"):
+        return lists.of_npy(data, options, name).with_places(options, name)
+
+    text = _text(data, name)
+    return _of_text(text, path, options, name).with_places(options, name)
+
+
+def exists(path: pathlib.Path) -> bool:
+    """Returns whether there is anything of this name; one that no file can have is not there."""
+    try:
+        return path.exists()
+    except OSError as error:
+        raise base.UserError(f"maze {str(path)!r}: {error.strerror}") from error
+    except ValueError:
+        return False
+
+
+def _of_text(text: str, path: pathlib.Path, options: reading.ReadingConfig, name: str) -> Plan:
+    """Reads a text; what looks like nothing else is ours, whose messages fit any text."""
+    first = text.lstrip()[:1]
+    if first == "{" or (first == "[" and "agent_pos" not in text):
+        return lists.of_json(text, options, name)
+    if moving_ai.is_map(text):
+        beside = path.with_name(path.name + moving_ai.SUFFIX)
+        scenarios = _text(_bytes(beside, name), name) if beside.is_file() else None
+        return moving_ai.of_map(text, scenarios, options, name)
+    if moving_ai.is_scenarios(text):
+        of_map = _text(_bytes(moving_ai.map_of(text, path, name), name), name)
+        return moving_ai.of_map(of_map, text, options, name)
+
+    if levels.is_jaxued(text):
+        return levels.jaxued(text, name)
+    if levels.is_minimax(text):
+        return levels.minimax(text, name)
+    if _YAML.match(text):
+        return pictures.of_ros(text, path, options, name)
+    if "\\" in text and "#" in text:
+        return lists.of_d4rl(text, name)
+    head, grid = parsing.read_grid(text, name)
+    return Plan(OURS, grid, head=head)
+
+
+def _bytes(path: pathlib.Path, name: str) -> bytes:
+    """Reads a file that isn't too large to be a maze."""
+    try:
+        if not path.is_file():
+            raise base.UserError(f"{name}: {'not a file' if path.exists() else 'no such file'}")
+        # Asked before it is read: any file may have been named by mistake.
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            start = file.read(16)
+        is_picture = any(start.startswith(first) for first in pictures.FORMATS)
+        limit = 8 * pictures.MAX_PIXELS if is_picture else MAX_BYTES
+        if size > limit:
+            raise base.UserError(f"{name}: {size} bytes, at most {limit}")
+        return path.read_bytes()
+    except OSError as error:
+        raise base.UserError(f"{name}: {error.strerror}") from error
+
+
+def _text(data: bytes, name: str) -> str:
+    """Decodes a text, its lines ended as on Unix."""
+    try:
+        text = data.decode("utf-8-sig")  # some editors write a byte order mark
+    except UnicodeDecodeError as error:
+        raise base.UserError(f"{name}: not a text in UTF-8") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
