@@ -127,8 +127,7 @@ def high_best() -> high_config.HighConfig:
     entropy bonus doesn't undo that before a goal is found. Short windows give many updates in
     little time, a rate that falls to nothing lets the policy settle, a discount of 0.94 makes it
     hurry. Subgoals are anchored, so that offsets don't add up beside a door. In use it takes the
-    most likely subgoals: samples need 13 % more decisions in mazes of our own, and are late more
-    often.
+    most likely subgoals: samples go back and forth more, and are late more often in large rooms.
     """
     return high_config.HighConfig(
         preset="best",
