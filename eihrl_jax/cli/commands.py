@@ -6,6 +6,7 @@
 import difflib
 import functools
 import os
+import pathlib
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -22,13 +23,24 @@ EARLIER = {("", "--peers"): "--baselines", ("--parts", "peers"): "baselines"}
 """Spellings of earlier versions that are still understood."""
 
 
+def _close(run: pathlib.Path, following: str) -> None:
+    """Says at the end of a training what it has left, and which command comes next."""
+    print(f"written to {run}: policy, metrics.csv, learning_curve.png")
+    print(f"next: eihrl {following}")
+
+
 def train_high() -> Command:
     """Trains a high level with oracle movement."""
     from eihrl_jax.config import high as high_config
     from eihrl_jax.config import presets
     from eihrl_jax.reporting import trainers
 
-    return Command(trainers.train_high, high_config.HighConfig, presets.HIGH, uses_all_cores=True)
+    def main(options: high_config.HighConfig) -> None:
+        trainers.train_high(options)
+        maze = "" if options.task.num_rooms else f" --mazes {shlex.quote(options.task.maze)}"
+        _close(options.run, f"evaluate --high {shlex.quote(str(options.run))}{maze}")
+
+    return Command(main, high_config.HighConfig, presets.HIGH, uses_all_cores=True)
 
 
 def train_low() -> Command:
@@ -37,7 +49,12 @@ def train_low() -> Command:
     from eihrl_jax.config import presets
     from eihrl_jax.reporting import trainers
 
-    return Command(trainers.train_low, low_config.LowConfig, presets.LOW)
+    def main(options: low_config.LowConfig) -> None:
+        trainers.train_low(options)
+        words = ["measure-low", "--robot", options.robot, "--low", str(options.run)]
+        _close(options.run, shlex.join(words))
+
+    return Command(main, low_config.LowConfig, presets.LOW)
 
 
 def train_baseline() -> Command:
@@ -46,8 +63,13 @@ def train_baseline() -> Command:
     from eihrl_jax.config import presets
     from eihrl_jax.reporting import trainers
 
+    def main(options: baselines_config.BaselineConfig) -> None:
+        trainers.train_baseline(options)
+        words = ["--mazes", options.maze, "--robot", options.robot, "--high", str(options.run)]
+        _close(options.run, shlex.join(["evaluate", "--movement", "full", *words]))
+
     return Command(
-        trainers.train_baseline,
+        main,
         baselines_config.BaselineConfig,
         presets.BASELINES,
         option="method",
@@ -66,7 +88,8 @@ def evaluate() -> Command:
         evaluation = evaluations.evaluate(options)
         tables.show(tables.terminal(evaluation.cells))
         rich.console.Console().print(tables.NOTE, style="dim")
-        print(f"written to {options.out}")
+        pictures = sorted(path.name for path in options.out.glob("*.gif"))
+        print(f"written to {options.out}: {', '.join(['tables.md', *pictures])}, heatmaps, ...")
 
     return Command(main, evaluate_config.EvaluateConfig)
 

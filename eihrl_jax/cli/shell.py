@@ -5,14 +5,17 @@ Exit codes: 0 done, 2 the user's mistake, 130 interrupted with Ctrl-C.
 
 import contextlib
 import dataclasses
+import difflib
 import errno
 import functools
 import io
 import itertools
 import os
 import pathlib
+import re
 import shlex
 import sys
+import typing
 from collections.abc import Mapping, Sequence
 from typing import NoReturn, TypeVar
 
@@ -46,7 +49,8 @@ def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None
       program: how it was called, for its help text.
     """
     try:
-        config = _parse(command, _in_todays_words(argv, command.earlier), program)
+        words = _in_full(_in_todays_words(argv, command.earlier), _options(command.config_type))
+        config = _parse(command, words, program)
         # Both before the first computation, with which JAX fixes its devices.
         _set_compilation_cache()
         if command.uses_all_cores:
@@ -121,8 +125,49 @@ def _parse(command: command_lib.Command[ConfigT], arguments: list[str], program:
             return parse(parsed_type)
     except SystemExit as end:
         if end.code:
-            fail(_one_line(messages.getvalue()).removeprefix(f"{parsed_type.__name__}: "))
+            message = _one_line(messages.getvalue()).removeprefix(f"{parsed_type.__name__}: ")
+            fail(message + _hint(message, _options(parsed_type)))
         raise
+
+
+def _options(config_type: type, prefix: str = "--") -> list[str]:
+    """Lists the options of a command as they are spelled, those of configs inside it as `--a.b`."""
+    names = []
+    for name, kind in typing.get_type_hints(config_type).items():
+        spelled = prefix + name.replace("_", "-")
+        is_config = isinstance(kind, type) and dataclasses.is_dataclass(kind)
+        names += _options(kind, f"{spelled}.") if is_config else [spelled]
+    return names
+
+
+def _in_full(argv: Sequence[str], options: Sequence[str]) -> list[str]:
+    """Returns the arguments with every option's full name.
+
+    Options of a config inside another one are known by their last word too, and what takes several
+    values by its singular: `--maze` is the maze in every command.
+    """
+    words = []
+    for word in argv:
+        name, equals, value = word.partition("=")
+        name = name.replace("_", "-")
+        if word.startswith("--") and name not in options:
+            short = name.removeprefix("--")
+            fits = [
+                option
+                for option in options
+                if re.split(r"--|\.", option)[-1] in (short, f"{short}s", short.removesuffix("s"))
+            ]
+            # Where several would fit, the user must say which.
+            word = fits[0] + equals + value if len(fits) == 1 else word
+        words.append(word)
+    return words
+
+
+def _hint(message: str, options: Sequence[str]) -> str:
+    """Returns what may have been meant by an option that there isn't, if something is like it."""
+    unknown = re.search(r"Unrecognized options: (--[\w.-]+)", message)
+    near = difflib.get_close_matches(unknown[1], options, n=1) if unknown else []
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def _chosen(presets: Mapping[str, object], arguments: list[str], wanted: str) -> str:

@@ -21,10 +21,12 @@ TABLE1_MAZES = {"random": "Maze-ori", "g1": "Maze-g1", "g2": "Maze-g2", "g3": "M
 
 NOTE = (
     "Success is achieved goals / total goals, ± the standard deviation over five blocks of "
-    "episodes, with Wilson's 95 % interval."
+    "episodes, with Wilson's 95 % interval. Episodes fail because the time is over while the robot "
+    "is upright (late), because it has fallen, or because its simulation broke down (unstable)."
 )
 """What the numbers of the tables are."""
 
+_FAILED = "late / fallen / unstable"
 _ANY_WIDTH = 10_000  # characters: wider than any table
 MOVEMENT_NAMES = {"oracle": "oracle movement", "full": "walking"}
 
@@ -79,7 +81,7 @@ def spread(over: statistics.RunSpread) -> str:
 def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
     """Returns one general table for each agent; a whole suite's mean stands above its mazes."""
     # In the order of the cells, which is that of the evaluation.
-    header = ["maze", "success %", "95 %", "return", "decisions", "path ratio", "falls", "episodes"]
+    header = ["maze", "success %", "95 %", "return", "decisions", "path ratio", _FAILED, "episodes"]
     by_agent: dict[results.Agent, dict[str, results.Cell]] = {}
     for cell in cells:
         by_agent.setdefault(cell.agent, {})[cell.maze] = cell
@@ -108,7 +110,7 @@ def _maze_row(cell: results.Cell, indent: str) -> list[str]:
         f"{cell.return_mean:.2f}",
         f"{cell.decisions_mean:.1f} / {cell.num_decisions}",
         _path_ratio([cell]),
-        _falls([cell]),
+        _failures([cell]),
         str(cell.num_episodes),
     ]
 
@@ -122,7 +124,7 @@ def _suite_row(suite: str, cells: Sequence[results.Cell]) -> list[str]:
         f"{np.mean([cell.return_mean for cell in cells]):.2f}",
         f"{np.mean([cell.decisions_mean for cell in cells]):.1f}",
         _path_ratio(cells),
-        _falls(cells),
+        _failures(cells),
         str(sum(cell.num_episodes for cell in cells)),
     ]
 
@@ -133,11 +135,14 @@ def _path_ratio(cells: Sequence[results.Cell]) -> str:
     return f"{np.mean(ratios):.2f}" if ratios else "-"
 
 
-def _falls(cells: Sequence[results.Cell]) -> str:
-    """Returns the number of falls in some mazes."""
+def _failures(cells: Sequence[results.Cell]) -> str:
+    """Returns the numbers of episodes in some mazes that failed, by the reason."""
+    late, fallen, unstable = (
+        str(sum(getattr(cell.outcomes, name) for cell in cells))
+        for name in ("late", "fallen", "unstable")
+    )
     # The oracle can't fall: a zero would look like an achievement.
-    is_full = cells[0].agent.movement == "full"
-    return str(sum(cell.num_falls for cell in cells)) if is_full else "-"
+    return f"{late} / {fallen} / {unstable}" if cells[0].agent.movement == "full" else late
 
 
 def _title(agent: results.Agent) -> str:

@@ -6,6 +6,7 @@ steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run 
 and until that is there in `<run>/latest`.
 """
 
+import difflib
 import json
 import pathlib
 import sys
@@ -121,9 +122,12 @@ def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
     path = pathlib.Path(name)
     if (path / "config.json").is_file():
         raise base.UserError(f"{path} holds no policy yet: its training has just begun")
+    names = shipped(kind)
+    near = difflib.get_close_matches(str(name), names, n=1)
+    hint = f"did you mean {near[0]}? " if near else ""
     raise base.UserError(
-        f"{name} is neither a policy nor a finished run; shipped {_NOUNS[kind]} names: "
-        + (", ".join(shipped(kind)) or "none")
+        f"{name} is neither a policy nor a finished run; {hint}shipped {_NOUNS[kind]} names: "
+        + (", ".join(names) or "none")
     )
 
 

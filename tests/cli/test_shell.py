@@ -88,6 +88,33 @@ def test_earlier_spellings_of_options_and_of_their_values_are_understood(argumen
     assert found == [Options(engine="mujoco", run=pathlib.Path("mj_c"))]
 
 
+@dataclasses.dataclass(frozen=True)
+class Task:
+    maze: str = "u"
+    engine: str = "inner"
+
+
+@dataclasses.dataclass(frozen=True)
+class Nested:
+    task: Task = Task()
+    engine: str = "outer"
+    seeds: tuple[int, ...] = ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("--maze", "s"), Nested(task=Task(maze="s"))),
+        (("--mazes=s", "--seed", "1", "2"), Nested(task=Task(maze="s"), seeds=(1, 2))),
+        (("--engine", "a", "--task.engine", "b"), Nested(task=Task(engine="b"), engine="a")),
+    ],
+)
+def test_one_name_for_one_thing_in_all_commands(arguments, expected):
+    found = []
+    shell.run(Command(found.append, Nested), arguments, "test")
+    assert found == [expected]
+
+
 def test_help_shows_the_defaults_of_the_preset(capsys):
     with pytest.raises(SystemExit) as end:
         parsed("--help", "--preset", "best")
@@ -111,6 +138,7 @@ def test_without_presets_the_defaults_are_those_of_the_class():
         (("--learning-rate",), ["--learning-rate"]),
         (("--engine", "ode"), ["--engine", "'ode'", "mjx", "mujoco"]),
         (("--speed", "3"), ["--speed"]),
+        (("--learning-rat", "3"), ["--learning-rat,", "did you mean --learning-rate?"]),
         (("extra",), ["extra"]),
     ],
 )

@@ -36,6 +36,7 @@ def test_every_episode_has_one_outcome():
     assert found.outcomes(1) == ["solved", "solved", "fallen", "unstable", "late"]
     summary = results.summarise("g1", ANT, found, num_goals=1, num_decisions=24)
     assert summary.outcomes == results.Outcomes(solved=2, fallen=1, unstable=1, late=1)
+    assert "| 1 / 1 / 1 |" in tables.markdown([summary])
     assert summary.num_falls == 2
     assert summary.decisions_mean == 3.0
     assert summary.decisions_solved == 1.5
