@@ -133,6 +133,20 @@ def compare() -> Command:
     return Command(main, runs_config.CompareRunsConfig)
 
 
+def robot() -> Command:
+    """Proposes a description for any robot's MJCF, and tries it out."""
+    from eihrl_jax.config import robot as robot_config
+    from eihrl_jax.reporting import robot_trials
+
+    def main(options: robot_config.RobotConfig) -> None:
+        trial = robot_trials.try_out(options)
+        print(robot_trials.summary(trial))
+        print(f"written to {options.out}")
+        robot_trials.check(trial)
+
+    return Command(main, robot_config.RobotConfig)
+
+
 def report() -> Command:
     """Puts everything that the paper reports on one page."""
     from eihrl_jax.config import report as report_config
@@ -237,6 +251,7 @@ COMMANDS: dict[str, Make] = {
         measure_low,
         plot,
         compare,
+        robot,
         report,
         demo,
         value_gap,

@@ -66,6 +66,13 @@ def farthest(model: mujoco.MjModel, qpos: Float[np.ndarray, " nq"]) -> float:
     return float((np.linalg.norm(ends[..., :2] - qpos[:2], axis=-1) + radius).max())
 
 
+def sides(model: mujoco.MjModel, qpos: Float[np.ndarray, " nq"]) -> Float[np.ndarray, "2"]:
+    """Returns the sides along x and y of the rectangle around a robot's colliding parts, metres."""
+    ends, radius = _solid_parts(model, qpos)
+    outer = np.concatenate([ends[..., :2] - radius[:, None], ends[..., :2] + radius[:, None]])
+    return np.ptp(outer.reshape(-1, 2), axis=0)
+
+
 def reach(model: mujoco.MjModel, robot: robot_lib.Robot, seed: int = 0) -> float:
     """Returns the greatest of `farthest` over random postures of joints and root, in metres."""
     rng = np.random.default_rng(seed)

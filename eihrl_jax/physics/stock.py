@@ -40,8 +40,8 @@ def adapt(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> Adapted:
     Raises:
       ValueError: there is no robot in it, or the description doesn't fit; in one line.
     """
-    torso = _torso(spec)
-    own = [geom for body in (torso, *torso.find_all("body")) for geom in body.geoms]
+    root = torso(spec)
+    own = [geom for body in (root, *root.find_all("body")) for geom in body.geoms]
     is_ours = not spec.pairs and all(
         geom.conaffinity == 0 and geom.contype in (0, *_KINDS) for geom in own
     )
@@ -54,13 +54,13 @@ def adapt(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> Adapted:
 
     # What may refer to parts that are gone goes too; floor and walls bring contacts of their own.
     for body in spec.worldbody.bodies:
-        if body != torso:
+        if body != root:
             spec.delete(body)
     world = (spec.worldbody.geoms, spec.sensors, spec.cameras, spec.lights)
     for element in [x for group in (*world, spec.pairs, spec.excludes) for x in group]:
         spec.delete(element)
 
-    is_same_root = _set_root(spec, torso, robot)
+    is_same_root = _set_root(spec, root, robot)
     has_keyframe = _choose_keyframe(spec, robot, is_same_root)
     for actuator in spec.actuators:
         # A filter only delays: without it the same control has the same effect a little earlier.
@@ -70,15 +70,19 @@ def adapt(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> Adapted:
     return Adapted(is_ours, has_keyframe)
 
 
-def _torso(spec: mujoco.MjSpec) -> mujoco.MjsBody:
-    """Returns the root of the largest tree of bodies that stands in the world."""
+def torso(spec: mujoco.MjSpec) -> mujoco.MjsBody:
+    """Returns the root of the largest tree of bodies that stands in the world.
+
+    Raises:
+      ValueError: there is none, or nothing in it could be seen; in one line.
+    """
     trees = [body for body in spec.worldbody.bodies if not body.mocap]
     if not trees:
         raise ValueError("it has no body that could move")
-    torso = max(trees, key=lambda body: len(body.find_all("body")))
-    if not torso.find_all("geom"):
+    largest = max(trees, key=lambda body: len(body.find_all("body")))
+    if not largest.find_all("geom"):
         raise ValueError("it has no geom that could be seen or touch anything")
-    return torso
+    return largest
 
 
 def _collide(own: list[mujoco.MjsGeom], spec: mujoco.MjSpec, robot: robot_lib.Robot) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import pathlib
 import tomllib
 
@@ -73,3 +74,16 @@ def read(path: pathlib.Path) -> Robot:
     except (base.UserError, TypeError) as error:  # JSON has no dates
         raise base.UserError(f"robot {str(path)!r}: {error}") from None
     return dataclasses.replace(robot, mjcf=path.parent / robot.mjcf)
+
+
+def text(robot: Robot, folder: pathlib.Path) -> str:
+    """Returns a description as `read` reads it from a file in `folder`; defaults are left out."""
+    lines = []
+    for field in dataclasses.fields(robot):
+        value = getattr(robot, field.name)
+        if field.name == "mjcf":
+            value = os.path.relpath(value, folder)
+        # TOML's numbers, words and lists are JSON's.
+        if value != field.default and not dataclasses.is_dataclass(value):
+            lines.append(f"{field.name} = {json.dumps(value)}\n")
+    return "".join(lines)
