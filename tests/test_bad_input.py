@@ -59,6 +59,10 @@ MISTAKES = [
     ("evaluate --high {tmp}/walker", ["{tmp}/walker", "low-level", "high-level"]),
     ("evaluate --high random --low {tmp}/walker", ["{tmp}/walker", "'point'", "'ant'"]),
     ("evaluate --high random --out {tmp}/old", ["{tmp}/old"]),
+    ("maze {tmp}/absent.txt --save {tmp}/new", ["absent.txt", "neither a file"]),
+    ("maze u --save {tmp}/old/config.json", ["{tmp}/old/config.json", "exists"]),
+    ("maze u --scenario -1", ["scenario = -1", "at least 0"]),
+    ("maze u --occupied 2", ["occupied = 2.0", "at most 1.0"]),
     ("compare_baselines --methods dqn", ["methods = 'dqn'", "rand_h", "hess"]),
     (
         "compare_baselines --methods hess --mazes spiral --num-steps 9000",
@@ -115,7 +119,7 @@ def snapshot(folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
 @pytest.mark.parametrize(("line", "words"), MISTAKES, ids=[line for line, _ in MISTAKES])
 def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
     module, *arguments = line.format(tmp=place).split()
-    where = "--run" if module in TRAINERS else "--out"
+    where = "--run" if module in TRAINERS else "--save" if module == "maze" else "--out"
     if where not in arguments:
         arguments += [where, RUN.format(tmp=place)]
     before = snapshot(place)

@@ -157,6 +157,17 @@ def report() -> Command:
     )
 
 
+def maze() -> Command:
+    """Shows a maze of any known kind as text and picture, and saves it as ours."""
+    from eihrl_jax.config import maze as maze_config
+    from eihrl_jax.reporting import maze_views
+
+    def main(options: maze_config.MazeConfig) -> None:
+        print(maze_views.show(options))
+
+    return Command(main, maze_config.MazeConfig)
+
+
 def demo() -> Command:
     """Trains a high level, then evaluates the whole hierarchy in four mazes."""
     from eihrl_jax.studies import demo as demo_lib
@@ -253,6 +264,7 @@ COMMANDS: dict[str, Make] = {
         compare,
         robot,
         report,
+        maze,
         demo,
         value_gap,
         benchmark,
