@@ -5,6 +5,7 @@ package takes no time and touches no device.
 
 | name | what it is |
 |---|---|
+| `load` | both levels by name, to be run in any maze |
 | `load_maze`, `Maze` | one of the paper's mazes or a text file, as arrays |
 | `load_robot` | one of the package's robots, or one of your own |
 | `load_high`, `load_low` | trained policies, shipped ones by name |
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from eihrl_jax.mazes import Maze as Maze
     from eihrl_jax.mazes import load as load_maze
     from eihrl_jax.reporting.evaluations import evaluate as evaluate
+    from eihrl_jax.reporting.facade import load as load
     from eihrl_jax.reporting.trainers import train_high as train_high
     from eihrl_jax.reporting.trainers import train_low as train_low
     from eihrl_jax.robots import load as load_robot
@@ -45,6 +47,7 @@ _PLACES = {
     "OracleMaze": "envs.oracle_maze.OracleMaze",
     "PhysicsMaze": "envs.physics_maze.PhysicsMaze",
     "evaluate": "reporting.evaluations.evaluate",
+    "load": "reporting.facade.load",
     "load_high": "evaluation.loading.load_high",
     "load_low": "evaluation.loading.load_low",
     "load_maze": "mazes.load",
