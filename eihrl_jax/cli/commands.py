@@ -88,8 +88,9 @@ def evaluate() -> Command:
         evaluation = evaluations.evaluate(options)
         tables.show(tables.terminal(evaluation.cells))
         rich.console.Console().print(tables.NOTE, style="dim")
-        pictures = sorted(path.name for path in options.out.glob("*.gif"))
-        print(f"written to {options.out}: {', '.join(['tables.md', *pictures])}, heatmaps, ...")
+        files = sorted(path.name for path in options.out.glob("*.gif"))
+        files += ["heatmaps"] if any(options.out.glob("*.png")) else []
+        print(f"written to {options.out}: {', '.join(['tables.md', 'episodes.csv', *files])}")
 
     return Command(main, evaluate_config.EvaluateConfig)
 

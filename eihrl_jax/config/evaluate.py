@@ -6,7 +6,7 @@ from typing import Literal
 from eihrl_jax import base
 from eihrl_jax.config import checks, limits
 
-Animate = Literal["one", "all", "none"]
+Animate = Literal["one", "all", "failed", "none"]
 """Which evaluations are animated, see `EvaluateConfig`."""
 
 UNIFORM = "uniform"
@@ -57,7 +57,9 @@ class EvaluateConfig:
       measured: folder of `experiments.measure_low`, whose mean displacement, standard deviation and
         postures take the place of step, sigma and the shipped postures.
       engine: physics engine of full movement.
-      animate: an animation of one maze, of all, or of none.
+      animate: an animation of one maze, of all, of an episode that failed in each, or of none.
+      quick: a first look: 20 episodes, full movement alone and no heatmaps, where nothing else is
+        asked for.
       heatmaps: draw where the robot was, one picture per maze and agent.
 
     >>> EvaluateConfig(mazes=("u", "spiral"), episodes=100).seeds
@@ -84,6 +86,7 @@ class EvaluateConfig:
     engine: base.EngineName = "mujoco"
     animate: Animate = "one"
     heatmaps: bool = True
+    quick: bool = False
 
     def __post_init__(self) -> None:
         """Checks how the options fit together."""

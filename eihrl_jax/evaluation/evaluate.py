@@ -13,8 +13,8 @@ from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import progress as progress_lib
 
-NUM_RECORDED = 12
-"""Episodes per maze among which a typical one is found for the animation."""
+_NUM_RECORDED: dict[evaluate_config.Animate, int] = {"one": 12, "all": 12, "failed": 60, "none": 0}
+"""Episodes per maze among which one is found for the animation; failures are rare."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +96,7 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
         mazes=chosen,
         seeds=options.seeds,
         num_episodes=options.episodes,
-        num_recorded=0 if options.animate == "none" else NUM_RECORDED,
+        num_recorded=_NUM_RECORDED[options.animate],
         recorded=tuple(chosen)[:1] if options.animate == "one" else None,
     )
     prepared = _prepare(options, plan)

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from eihrl_jax.config import codec
+from eihrl_jax.config import changes, codec
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.drawing import animation, heatmap
 from eihrl_jax.evaluation import evaluate as evaluation_lib
@@ -53,6 +53,13 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
     >>> cell.success.rate > 0.8
     True
     """
+    if options.quick:
+        # What was asked for stays; what equals its default counts as not asked for.
+        default = evaluate_config.EvaluateConfig()
+        first_look = {"movement": ("full",), "episodes": 20, "heatmaps": False}
+        asked = {name for name in first_look if getattr(options, name) != getattr(default, name)}
+        changed = {name: value for name, value in first_look.items() if name not in asked}
+        options = changes.apply(options, changed)
     with folders.reserved(options.out):
         # Agent by agent, so that what is done stays if a later one fails.
         cells: list[results.Cell] = []
@@ -81,9 +88,13 @@ def _write(evaluated: evaluation_lib.Evaluated, options: evaluate_config.Evaluat
 
     # "one": the last agent's first maze, a single picture for the whole evaluation.
     names = [name for name, rollout in evaluated.rollouts.items() if rollout.recordings]
+    if options.animate == "failed":
+        for name in names:
+            _animate_failed(options.out, evaluated, name)
+        return
     num = {"all": len(names), "one": int(evaluated.is_last), "none": 0}[options.animate]
     for name in names[:num]:
-        _animate(options.out, evaluated, name)
+        _animate(options.out, evaluated, name, typical(evaluated.rollouts[name]))
 
 
 def _write_episodes(path: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:
@@ -125,12 +136,31 @@ def _draw_heatmaps(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> No
         heatmap.save_together(out / f"{agent.file_name}-heatmaps.png", list(visits.values()))
 
 
-def _animate(out: pathlib.Path, evaluated: evaluation_lib.Evaluated, maze: str) -> None:
-    """Animates a typical episode of one agent in one maze."""
+def _animate_failed(out: pathlib.Path, evaluated: evaluation_lib.Evaluated, maze: str) -> None:
+    """Animates the first episode in one maze that failed, or says that there is none."""
+    rollout = evaluated.rollouts[maze]
+    outcomes = rollout.episodes.outcomes(int(evaluated.mazes[maze].num_goals))
+    # The first episodes alone are recorded.
+    num = len(rollout.recordings)
+    failed = [i for i, outcome in enumerate(outcomes[:num]) if outcome != "solved"]
+    if failed:
+        _animate(out, evaluated, maze, rollout.recordings[failed[0]], f"-{outcomes[failed[0]]}")
+    else:
+        print(f"{evaluated.agent.file_name}, {maze}: none of {num} recorded episodes failed")
+
+
+def _animate(
+    out: pathlib.Path,
+    evaluated: evaluation_lib.Evaluated,
+    maze: str,
+    recorded: recording.Recording,
+    ending: str = "",
+) -> None:
+    """Animates an episode of one agent in one maze."""
     robot = evaluated.robot
     animation.save(
-        out / f"{evaluated.agent.file_name}-{maze}.gif",
-        typical(evaluated.rollouts[maze]),
+        out / f"{evaluated.agent.file_name}-{maze}{ending}.gif",
+        recorded,
         kinematics.capsules(scene.build(robot), robot.units_per_metre),
         title=_label(maze),
         reach=robot.reach * robot.units_per_metre,

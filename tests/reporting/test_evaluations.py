@@ -288,3 +288,21 @@ def test_policies_that_do_not_fit_are_refused(folder):
         loading.load_low(str(folder / "wrong"), robots.load("point"))
     with pytest.raises(base.UserError, match="expected a high-level"):
         loading.load_high(str(folder / "low"))
+
+
+def test_a_first_look_at_what_fails(tmp_path):
+    out = tmp_path / "look"
+    options = evaluate_config.EvaluateConfig(
+        mazes=("u",),
+        robot=("point",),
+        movement=("oracle",),
+        high=("uniform",),
+        quick=True,
+        animate="failed",
+        out=out,
+    )
+    (cell,) = evaluations.evaluate(options).cells
+    assert (cell.agent.movement, cell.num_episodes) == ("oracle", 20)
+    (picture,) = out.glob("*.gif")
+    assert picture.name == "point-oracle-uniform-u-late.gif"
+    assert not any(out.glob("*.png"))
