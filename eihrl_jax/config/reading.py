@@ -17,7 +17,7 @@ class ReadingConfig:
       goal: row and column of the only goal; none: as in the file.
       places: what start and goal are: row and column of a cell, or x and y in metres from the lower
         left corner of a picture, of a ROS map in its own frame.
-      transposed: of lists, rows of the file are columns of the maze, as in JaxGCRL.
+      transposed: of lists, rows of the file are columns of the maze, as in JaxGCRL, mirrored.
       scenario: of a MovingAI scenario file, which of its lines, counted from 1; 0: the last one.
       metres_per_pixel: of a picture; a ROS map has its own. 0: unknown, a pixel is a cell.
       cell_metres: side of a cell of a map or picture whose metres per pixel are known.

@@ -302,7 +302,7 @@ LETTERS = "#.SG*D19><^vO01r \n\t\\\"',[]{}()=:-!&@TW"
 STARTS = ["", "type octile\nheight 1\nwidth 3\nmap\n", "version 1\n", "image: a\n", "[[", "{"]
 
 
-@hypothesis.settings(deadline=None, max_examples=300)
+@hypothesis.settings(deadline=None, max_examples=120)
 @hypothesis.given(
     strategies.sampled_from(STARTS),
     strategies.text(LETTERS, max_size=60) | strategies.text(max_size=20) | strategies.binary(),
@@ -313,7 +313,7 @@ def test_any_text_is_a_maze_or_has_one_line_said_of_it(tmp_path_factory, start, 
     try:
         mazes.load(path)
     except base.UserError as error:
-        assert str(error).isprintable() or "\n" not in str(error)
+        assert "\n" not in str(error)
 
 
 @hypothesis.settings(deadline=None, max_examples=40)

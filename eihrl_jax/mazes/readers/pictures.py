@@ -8,6 +8,7 @@ decoded.
 Source: wiki.ros.org/map_server for the fields of the YAML and what darkness means.
 """
 
+import dataclasses
 import io
 import math
 import pathlib
@@ -193,7 +194,7 @@ def _of_pixels(
         return row + first[0], column / frame.resolution / side + first[1]
 
     known = from_metres if frame.resolution else None
-    return plan_lib.dataclasses.replace(plan, first=first, from_metres=known)
+    return dataclasses.replace(plan, first=first, from_metres=known)
 
 
 def _pixels(data: bytes, name: str) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
