@@ -32,6 +32,9 @@ MAX_PIXELS = 2**24
 
 MAX_YAML_BYTES = 2**16
 
+MAX_YAML_DEPTH = 20
+"""Most brackets that are open at once: the time that YAML takes grows with their square."""
+
 FORMATS = {
     b"\x89PNG\r\n\x1a\n": "PNG",
     **{b"P" + digit: "PPM" for digit in (b"1", b"2", b"3", b"4", b"5", b"6")},
@@ -49,6 +52,9 @@ OTHER_FORMATS = {
     b"\0\0\1\0": "ICO",
     b"8BPS": "PSD",
 }
+
+_OPENING = (yaml.FlowSequenceStartToken, yaml.FlowMappingStartToken)
+_CLOSING = (yaml.FlowSequenceEndToken, yaml.FlowMappingEndToken)
 
 _OCCUPIED, _FREE = 0.65, 0.196  # map_server's defaults
 
@@ -279,6 +285,9 @@ def _yaml(text: str, name: str) -> Mapping[str, Any]:
     """Reads plain YAML: tags could make objects, and references could grow without end."""
     if len(text) > MAX_YAML_BYTES:
         raise base.UserError(f"{name}: YAML of {len(text)} characters, at most {MAX_YAML_BYTES}")
+
+    # Token by token, so that what is hostile is refused before anything is made of it.
+    depth = 0
     try:
         for token in yaml.scan(text, Loader=yaml.SafeLoader):
             if isinstance(token, yaml.TagToken | yaml.AnchorToken | yaml.AliasToken):
@@ -286,6 +295,9 @@ def _yaml(text: str, name: str) -> Mapping[str, Any]:
                 raise base.UserError(
                     f"{name}: a tag or reference in YAML at line {line}; none is read"
                 )
+            depth += isinstance(token, _OPENING) - isinstance(token, _CLOSING)
+            if depth > MAX_YAML_DEPTH:
+                raise base.UserError(f"{name}: no YAML of a map: more than {depth - 1} levels")
         fields = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise base.UserError(f"{name}: no YAML: {_one_line(error)}") from None
