@@ -228,7 +228,7 @@ def test_only_running_episodes_leave_traces():
         ({"mazes": ()}, "mazes is empty"),
         ({"movement": ("walking",)}, "movement = 'walking' must be one of oracle, full"),
         ({"engine": "ode"}, "engine = 'ode' must be one of mujoco, mjx"),
-        ({"animate": "some"}, "animate = 'some' must be one of one, all, none"),
+        ({"animate": "some"}, "animate = 'some' must be one of one, all, failed, none"),
         ({"num_decisions": 0}, "num_decisions = 0"),
         ({"reward": "fat"}, "reward = 'fat' must be one of sparse, dense"),
         ({"low": ("a", "b")}, "low names 2 policies for 1 robots"),
