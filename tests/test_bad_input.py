@@ -52,6 +52,8 @@ MISTAKES = [
     ("evaluate --mazes random g9", ["g9", "spiral"]),
     ("evaluate --mazes {tmp}/closed.txt", ["closed.txt"]),
     ("evaluate --high random --robot walrus", ["walrus", "ant"]),
+    ("evaluate --mazes u --reading.start 2 2", ["'u'", "start and goal of its own"]),
+    ("evaluate --mazes {tmp}/startless.txt --reading.start 1 1", ["start = 1 1", "wall"]),
     ("evaluate --episodes 0", ["episodes = 0", "at least 1"]),
     ("evaluate --movement fly", ["--movement", "fly"]),
     ("evaluate --high {tmp}/absent", ["{tmp}/absent", "policy"]),

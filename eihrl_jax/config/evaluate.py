@@ -5,6 +5,7 @@ from typing import Literal
 
 from eihrl_jax import base
 from eihrl_jax.config import checks, limits
+from eihrl_jax.config import reading as reading_config
 
 Animate = Literal["one", "all", "failed", "none"]
 """Which evaluations are animated, see `EvaluateConfig`."""
@@ -57,6 +58,7 @@ class EvaluateConfig:
       measured: folder of `experiments.measure_low`, whose mean displacement, standard deviation and
         postures take the place of step, sigma and the shipped postures.
       engine: physics engine of full movement.
+      reading: what the mazes' files leave open, such as start and goal.
       animate: an animation of one maze, of all, of an episode that failed in each, or of none.
       quick: a first look: 20 episodes, full movement alone and no heatmaps, where nothing else is
         asked for.
@@ -84,6 +86,7 @@ class EvaluateConfig:
     knows: base.Knows | None = None
     measured: pathlib.Path | None = None
     engine: base.EngineName = "mujoco"
+    reading: reading_config.ReadingConfig = reading_config.ReadingConfig()
     animate: Animate = "one"
     heatmaps: bool = True
     quick: bool = False

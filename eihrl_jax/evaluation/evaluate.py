@@ -91,7 +91,9 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
         same name in the files.
     """
     # Everything that can be wrong is loaded first: no hour of episodes is lost to a typing error.
-    chosen = mazes.load_all(options.mazes, num_decisions=options.num_decisions)
+    chosen = mazes.load_all(
+        options.mazes, num_decisions=options.num_decisions, options=options.reading
+    )
     plan = rollouts.Plan(
         mazes=chosen,
         seeds=options.seeds,

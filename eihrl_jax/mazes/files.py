@@ -28,7 +28,8 @@ def load(
       options: what a file leaves open.
 
     Raises:
-      base.UserError: unknown name, a suite's, unreadable file, or a file that is no maze.
+      base.UserError: unknown name, a suite's, unreadable file, or a file that is no maze; a start
+        or goal was chosen for a maze by name.
 
     >>> int(load("spiral").num_goals), int(load("spiral").num_decisions)
     (5, 200)
@@ -39,6 +40,8 @@ def load(
         plan = read(name, options)
         limit = plan.num_decisions if num_decisions is None else num_decisions
         return parsing.parse(plan.text, name=name, num_decisions=limit, first=plan.first)
+    if options is not None and (options.start is not None or options.goal is not None):
+        raise base.UserError(f"maze {name!r}: a maze by name has a start and goal of its own")
     return parsing.parse(
         named.text,
         name=name,
@@ -47,12 +50,18 @@ def load(
     )
 
 
-def load_all(names: Iterable[str], *, num_decisions: int | None = None) -> dict[str, Maze]:
+def load_all(
+    names: Iterable[str],
+    *,
+    num_decisions: int | None = None,
+    options: reading.ReadingConfig | None = None,
+) -> dict[str, Maze]:
     """Loads several mazes; the name of a suite stands for all of its mazes.
 
     Args:
       names: see `load`, and `suites.NAMES`.
       num_decisions: time limit in subgoals of all; None: see `load`.
+      options: what files leave open, of all of them.
 
     Returns:
       The mazes by their labels: names, or the stems of files.
@@ -67,7 +76,7 @@ def load_all(names: Iterable[str], *, num_decisions: int | None = None) -> dict[
             # Labels name the files of results, so two files `maze.txt` can't be told apart there.
             if label in chosen:
                 raise base.UserError(f"mazes: {each!r} would be the second one called {label!r}")
-            chosen[label] = load(each, num_decisions=num_decisions)
+            chosen[label] = load(each, num_decisions=num_decisions, options=options)
     return chosen
 
 

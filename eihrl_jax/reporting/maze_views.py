@@ -44,6 +44,7 @@ def show(options: maze_config.MazeConfig) -> str:
         kind, origin = files.read(options.file, wanted).kind, "your file"
     maze = mazes.load(options.file, num_decisions=options.num_decisions, options=wanted)
 
+    _check_new(options.save, options.picture)
     lines = [f"{options.file}: {kind}", f"origin          {origin}", *_facts(maze), ""]
     lines += [parsing.text_of(maze).rstrip("\n")]
     if options.save is not None:
@@ -53,6 +54,20 @@ def show(options: maze_config.MazeConfig) -> str:
         _draw(options.picture, maze, pathlib.PurePath(options.file).name)
         lines.append(f"drawn in {options.picture}")
     return "\n".join(lines)
+
+
+def _check_new(*wanted: pathlib.Path | None) -> None:
+    """Checks all files that are to be written before the first one is.
+
+    Raises:
+      base.UserError: one is there already, a link as well, is wanted twice, or has no folder.
+    """
+    files_wanted = [path for path in wanted if path is not None]
+    for i, path in enumerate(files_wanted):
+        if path.exists() or path.is_symlink() or path in files_wanted[:i]:
+            raise base.UserError(f"{path} exists; a maze is written to a new file")
+        if not path.parent.is_dir():
+            raise base.UserError(f"{path}: there is no folder {path.parent}")
 
 
 def _facts(maze: mazes.Maze) -> list[str]:
@@ -94,13 +109,9 @@ def _suite(name: str) -> str:
 
 def _draw(path: pathlib.Path, maze: mazes.Maze, title: str) -> None:
     """Draws the plan of a maze into a new file."""
-    try:
-        path.touch(exist_ok=False)  # what is there, a planted link as well, is never written over
-    except FileExistsError:
-        raise base.UserError(f"{path} exists; a picture is drawn into a new file") from None
-
     sides = np.array(maze.wall.shape)
     height, width = np.clip(_MAX_INCHES * sides / sides.max(), 2.0, None).tolist()
     figure = figures.new(width, height)
     layout.draw(figure.add_subplot(), maze, title=title)
+    path.touch(exist_ok=False)  # not before there is a picture to write
     figures.save(figure, path)

@@ -183,7 +183,7 @@ def test_heatmap_shows_visits_and_walls(tmp_path, maze):
     bins = rollouts.BINS_PER_CELL
     share = np.zeros((5 * bins, 8 * bins))
     share[bins : 2 * bins, bins : 2 * bins] = 1.0
-    visits = heatmap.Visits("mine", maze, share)
+    visits = heatmap.Visits("$x_{$ of mine", maze, share)
     heatmap.save(tmp_path / "one.png", visits)
     heatmap.save_together(tmp_path / "all.png", [visits, visits])
     pixels = opened(tmp_path / "one.png").reshape(-1, 3)

@@ -1,3 +1,5 @@
+import pathlib
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -33,3 +35,29 @@ def test_start_and_goal_are_chosen_and_a_suite_is_listed(tmp_path):
     assert "| jaxued-labyrinth | 15 x 15 | 96 | 450 |" in shown
     with pytest.raises(base.UserError, match="jaxued is a suite"):
         maze_views.show(maze_config.MazeConfig(file="jaxued", save=tmp_path / "x"))
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        ({"file": "spiral", "start": (2, 2)}, "'spiral': a maze by name has a start and goal"),
+        ({"file": "u", "save": "new.txt", "picture": "link.png"}, "link.png exists"),
+        ({"file": "u", "save": "new", "picture": "new"}, "new exists"),
+        ({"file": "u", "save": "new.txt", "picture": "absent/p.png"}, "there is no folder absent"),
+    ],
+)
+def test_what_cannot_be_written_is_known_before_anything_is(options, line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pathlib.Path("link.png").symlink_to("elsewhere")
+    files = {key: pathlib.Path(options[key]) for key in ("save", "picture") if key in options}
+    with pytest.raises(base.UserError, match=line):
+        maze_views.show(maze_config.MazeConfig(**(options | files)))
+    assert [path.name for path in tmp_path.iterdir()] == ["link.png"]
+
+
+def test_the_name_of_a_file_is_no_formula(tmp_path):
+    (tmp_path / "$x_{$.txt").write_text("####\n#S1#\n####\n")
+    options = maze_config.MazeConfig(file=str(tmp_path / "$x_{$.txt"), picture=tmp_path / "p.png")
+    maze_views.show(options)
+    with Image.open(tmp_path / "p.png") as plan:
+        assert plan.format == "PNG"
