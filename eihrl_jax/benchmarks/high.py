@@ -1,14 +1,20 @@
-"""Measurements of the high level for `experiments.benchmark`: its speed."""
+"""Measurements of the high level for `experiments.benchmark`: its speed, and what size costs."""
 
 import dataclasses
 import pathlib
 import statistics
 import tempfile
 
+import jax
+
+from eihrl_jax import base, mazes, robots
 from eihrl_jax.benchmarks import part, timing
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import presets
+from eihrl_jax.envs import subgoals
+from eihrl_jax.evaluation import loading
+from eihrl_jax.mazes import parsing, perfect
 from eihrl_jax.reporting import evaluations
 from eihrl_jax.training import high, parallel
 
@@ -41,6 +47,52 @@ def decisions_rows(figures: dict[str, part.Figures]) -> part.Rows:
         )
         for kind, rates in figures.items()
     }
+
+
+def decision_times(
+    sides: tuple[int, ...] = (13, 51, 101, 257), num_robots: int = 64, num_decisions: int = 40
+) -> dict[str, part.Figures]:
+    """Measures searching and moving in perfect mazes of several sizes, past compilation.
+
+    Args:
+      sides: cells inside the outer wall.
+      num_robots: episodes that run at once.
+      num_decisions: of each of them; the median is reported.
+
+    Returns:
+      By side, `milliseconds` per decision and robot, and `cells` of the map.
+    """
+    level = loading.load_high("best-random-0")
+    robot = robots.load("ant")
+    gait = subgoals.gait(robot, None, base.CELL, base.SIGMA)
+    figures = {}
+    for side in sides:
+        maze = mazes.stack([parsing.parse(perfect.perfect_maze(0, side, side))])
+        view = level.view_in(maze)
+        env = loading.oracle_env(robot, maze, view, gait=gait, anchored=True).env
+        first = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), num_robots))
+
+        def decide(state: base.EnvState, env: base.Environment = env) -> base.EnvState:
+            # The most likely directions need no random numbers.
+            action = jax.vmap(level.policy, (0, None))(state.obs, jax.random.key(0))
+            return jax.vmap(env.step)(state, action)
+
+        advance = jax.jit(decide)
+        calls = timing.successive(advance, advance(first), num_decisions)
+        seconds = statistics.median(seconds for _, seconds in calls)
+        rows, columns, _ = view.obs_shape
+        figures[str(side)] = {"milliseconds": 1e3 * seconds / num_robots, "cells": rows * columns}
+    return figures
+
+
+def decision_rows(figures: dict[str, part.Figures]) -> part.Rows:
+    """Tells how long a decision takes by the size of the maze."""
+    rows = {}
+    for side, each in figures.items():
+        per_cell = 1e6 * each["milliseconds"] / each["cells"]
+        what = f"milliseconds per decision and robot, perfect maze of {side} cells a side"
+        rows[what] = f"{each['milliseconds']:.3f}, {per_cell:.0f} ns a cell"
+    return rows
 
 
 def full_episodes(high_level: str = "best-random-0") -> part.Figures:

@@ -13,6 +13,7 @@ from eihrl_jax.runs import versions
 
 PARTS: dict[str, Part[Any]] = {
     "speed": Part(high.decisions_per_second, high.decisions_rows),
+    "sizes": Part(high.decision_times, high.decision_rows),
     "interface": Part(physics.interface_ratio, physics.interface_rows),
     "maze_cost": Part(physics.maze_costs, physics.maze_costs_rows),
     "throughput": Part(physics.throughput, physics.throughput_rows),

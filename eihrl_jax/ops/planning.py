@@ -85,6 +85,16 @@ def search(
     Returns:
       U, exact where it is above the greatest U around the robot minus 2.
     """
+    # On CPU a large map stays in the cache, and each of many has as many sweeps as it needs itself:
+    # 64 maps of 117 x 117 cells take two fifths of the time that they take all at once.
+    is_cpu = jax.default_backend() == "cpu"
+    return (_search_one_by_one if is_cpu else _search)(worth, is_open, robot)
+
+
+def _search(
+    worth: Float[Array, "n m"], is_open: Bool[Array, "n m"], robot: Bool[Array, "n m"]
+) -> Float[Array, "n m"]:
+    """Searches one map, see `search`."""
     width = worth.shape[1] + 1
     flat_worth, flat_open = _flat(worth, is_open)
     greatest = flat_worth.max()
@@ -104,6 +114,9 @@ def search(
     start = (flat_worth, jnp.float32(0.0), jnp.array(True))
     values, _, _ = jax.lax.while_loop(is_unsettled, advance, start)
     return values.reshape(-1, width)[:, :-1]
+
+
+_search_one_by_one = jax.custom_batching.sequential_vmap(_search)
 
 
 def at_sides(grid: Shaped[Array, "n m"], robot: Bool[Array, "n m"]) -> Shaped[Array, "4"]:
