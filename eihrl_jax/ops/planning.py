@@ -116,7 +116,12 @@ def _search(
     return values.reshape(-1, width)[:, :-1]
 
 
-_search_one_by_one = jax.custom_batching.sequential_vmap(_search)
+@jax.custom_batching.sequential_vmap
+def _search_one_by_one(
+    worth: Float[Array, "n m"], is_open: Bool[Array, "n m"], robot: Bool[Array, "n m"]
+) -> Float[Array, "n m"]:
+    """Searches one map, and many one after the other."""
+    return _search(worth, is_open, robot)
 
 
 def at_sides(grid: Shaped[Array, "n m"], robot: Bool[Array, "n m"]) -> Shaped[Array, "4"]:
