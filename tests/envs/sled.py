@@ -53,7 +53,7 @@ class Deed(enum.IntEnum):
     REST = 1
     """Nothing."""
     JUMP = 2
-    """A cell to the east."""
+    """Nearly a cell to the east, as far as a step may be that walls hold."""
     BREAK = 3
     """Its simulation breaks down."""
 
@@ -67,10 +67,15 @@ class Puppet(Disc):
 
     deed = Deed.MOVE
 
+    def __init__(self):
+        """Makes the point slim, and as far-reaching as what all walls around a cell stand for."""
+        super().__init__()
+        self.robot = dataclasses.replace(self.robot, reach=base.CELL / 2, body_radius=0.05)
+
     def step(self, state, ctrl, walls_xy, is_running):
         """Does its deed."""
         moved = super().step(state, ctrl, walls_xy, is_running).qpos
-        jumped = state.qpos + jnp.where(is_running, jnp.array([base.CELL, 0.0]), 0.0)
+        jumped = state.qpos + jnp.where(is_running, jnp.array([0.95 * base.CELL, 0.0]), 0.0)
         broken = jnp.full_like(moved, jnp.nan)
         qpos = jnp.stack([moved, state.qpos, jumped, broken])[self.deed]
         return state.replace(qpos=qpos)
