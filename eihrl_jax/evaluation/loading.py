@@ -23,9 +23,6 @@ from eihrl_jax.physics import scene
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import checkpoint, policies
 
-_BEFORE_ANYTHING_ELSE = 1e5
-"""Worth of a goal to `frontier`, in moves: more than any way has."""
-
 
 @dataclasses.dataclass(frozen=True)
 class HighLevel:
@@ -262,6 +259,6 @@ def _towards_the_unseen(obs: raster.Picture, key: Key[Array, ""]) -> Int[Array, 
     del key
     wall, goal, robot, unseen = (obs[..., channel] for channel in range(4))
     worth = jnp.where(unseen, 0.0, planning.NOWHERE)
-    worth = jnp.where(goal, _BEFORE_ANYTHING_ELSE, worth)
+    worth = jnp.where(goal, planning.GOAL, worth)
     values = planning.search(worth, ~wall, robot)
     return jnp.argmax(planning.at_sides(values, robot)).astype(jnp.int32)

@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, UInt8
@@ -45,6 +46,13 @@ class Decision(struct.PyTreeNode):
     seen: UInt8[Array, "*n B"] | None
     action: Int[Array, "*n"]
     trace: hierarchy.Trace
+
+    @classmethod
+    def of(
+        cls, obs: Bool[Array, "n m C"] | None, action: Int[Array, ""], trace: hierarchy.Trace
+    ) -> "Decision":
+        """Returns the decision of one episode, which saw `obs` before it."""
+        return cls(None if obs is None else jnp.packbits(obs), action, trace)
 
 
 def of_episode(

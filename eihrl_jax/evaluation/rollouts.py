@@ -148,6 +148,7 @@ class Runner:
         self._size = math.ceil(len(self._rows) / num_batches)
         self._reset = jax.jit(jax.vmap(env.reset))
         self._compiled: dict[Hashable, jax.stages.Compiled] = {}
+        self._tours = functools.cache(lambda maze, door: paths.tours(self._mazes[maze], door))
 
     def _most_rows(self) -> int:
         """Returns how many episodes may run at once."""
@@ -246,8 +247,7 @@ class Runner:
 
             # Over is over: numbers of an episode stay while the others of its batch go on.
             kept = tree.where(state.is_over, state, following)
-            seen = None if state.obs is None else jnp.packbits(state.obs)
-            decision = recording_lib.Decision(seen=seen, action=action, trace=trace)
+            decision = recording_lib.Decision.of(state.obs, action, trace)
             return kept, _mark(was_there, trace), decision
 
         state, was_there, decision = jax.vmap(decide)(state, was_there, keys)
@@ -338,7 +338,7 @@ class Runner:
             for door in np.unique(door_ij[maze == index], axis=0):
                 is_here = (maze == index) & (door_ij == door).all(1)
                 place = (int(door[0]), int(door[1])) if doors.any() else None
-                shortest[is_here] = paths.tours(own, place)[tuple(start_ij[is_here].T)]
+                shortest[is_here] = self._tours(index, place)[tuple(start_ij[is_here].T)]
         return shortest
 
     def _by_maze(self, batches: list[_Batch]) -> dict[str, Rollout]:

@@ -88,14 +88,14 @@ def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
 
     tables = []
     for agent, by_maze in by_agent.items():
-        suite_of = {maze: suite for suite, own in suites.complete(by_maze).items() for maze in own}
-        body, shown = [], set()
+        whole = suites.complete(by_maze)
+        suite_of = {maze: suite for suite, own in whole.items() for maze in own}
+        body = []
         for maze, cell in by_maze.items():
             suite = suite_of.get(maze)
-            if suite is not None and suite not in shown:
-                own = [c for name, c in by_maze.items() if suite_of.get(name) == suite]
-                body.append(_suite_row(suite, own))
-                shown.add(suite)
+            # Above the first of its mazes; each suite is told once.
+            if suite in whole:
+                body.append(_suite_row(suite, [by_maze[name] for name in whole.pop(suite)]))
             body.append(_maze_row(cell, "  " if suite else ""))
         tables.append(Table(_title(agent), header, body))
     return tables

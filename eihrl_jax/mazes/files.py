@@ -37,9 +37,7 @@ def load(
     name = str(name_or_path)
     named = suites.find(name)
     if named is None:
-        plan = read(name, options)
-        limit = plan.num_decisions if num_decisions is None else num_decisions
-        return parsing.parse(plan.text, name=name, num_decisions=limit, first=plan.first)
+        return of_plan(read(name, options), name, num_decisions=num_decisions)
     if options is not None and (options.start is not None or options.goal is not None):
         raise base.UserError(f"maze {name!r}: a maze by name has a start and goal of its own")
     return parsing.parse(
@@ -94,6 +92,21 @@ def read(path: str | pathlib.Path, options: reading.ReadingConfig | None = None)
         known = f"one of {', '.join(NAMES)}, nor a maze of {', '.join(suites.NAMES[1:])}"
         raise base.UserError(f"{maze}: neither a file nor {known}")
     return readers.read(pathlib.Path(path), options or reading.ReadingConfig(), maze)
+
+
+def of_plan(plan: readers.Plan, name: str, *, num_decisions: int | None = None) -> Maze:
+    """Makes a maze of what `read` returned.
+
+    Args:
+      plan: the maze as its file has it.
+      name: how messages call the maze.
+      num_decisions: time limit in subgoals; None: see `load`.
+
+    Raises:
+      base.UserError: it is no maze.
+    """
+    limit = plan.num_decisions if num_decisions is None else num_decisions
+    return parsing.parse(plan.text, name=name, num_decisions=limit, first=plan.first)
 
 
 def save(path: str | pathlib.Path, maze: Maze) -> None:

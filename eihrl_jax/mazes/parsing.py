@@ -161,13 +161,22 @@ def _grid(lines: list[str], name: str) -> np.ndarray:
                     f"{name}: unknown character {character!r} at {_where((i, j))}; "
                     "known are # . S D G * and 1 to 9"
                 )
-        if len(line) != len(lines[0]):
-            raise base.UserError(
-                f"{name}: row {i + 1} has {len(line)} columns, but row 1 has {len(lines[0])}"
-            )
+        check_length(len(line), i, len(lines[0]), name)
     for what, size in (("rows", len(lines)), ("columns", len(lines[0]))):
         checks.in_range(f"{name}: number of {what}", size, MIN_SIZE, MAX_SIZE)
     return np.array([list(line) for line in lines])
+
+
+def check_length(length: int, row: int, expected: int, name: str) -> None:
+    """Checks that a row, counted from 0, is as long as the first one.
+
+    Raises:
+      base.UserError: it isn't.
+    """
+    if length != expected:
+        raise base.UserError(
+            f"{name}: row {row + 1} has {length} columns, but row 1 has {expected}"
+        )
 
 
 def _check_cells(grid: np.ndarray, name: str, first: paths.Cell) -> None:

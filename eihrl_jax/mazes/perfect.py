@@ -1,6 +1,7 @@
 """Perfect mazes of any size: one way between any two places, walls and ways of one cell's width."""
 
 import numpy as np
+from jaxtyping import Bool
 
 from eihrl_jax import base
 from eihrl_jax.config import checks
@@ -39,7 +40,8 @@ def perfect_maze(seed: int, rows: int, columns: int) -> str:
 
     rng = np.random.default_rng(seed)
     grid = np.full((rows + 2, columns + 2), "#")
-    grid[_ways(rng, rows, columns)] = "."
+    first = int(rng.integers(rows // 2 + 1)), int(rng.integers(columns // 2 + 1))
+    grid[ways(rng, rows, columns, first)] = "."
 
     # The goal first, then the start among the other cells.
     free = paths.cells(grid == ".")
@@ -48,12 +50,24 @@ def perfect_maze(seed: int, rows: int, columns: int) -> str:
     return "\n".join("".join(row) for row in grid) + "\n"
 
 
-def _ways(rng: np.random.Generator, rows: int, columns: int) -> np.ndarray:
-    """Digs ways into rock by a depth-first walk over every second cell, bool [R, C]."""
+def ways(
+    rng: np.random.Generator, rows: int, columns: int, first: paths.Cell
+) -> Bool[np.ndarray, "R C"]:
+    """Digs ways into rock by a depth-first walk over every second cell.
+
+    Args:
+      rng: draws where it goes on.
+      rows: number of rows inside the outer ring; odd.
+      columns: number of columns inside the outer ring; odd.
+      first: where it begins, row and column counted over every second cell from 0.
+
+    Returns:
+      bool [R, C], cells that are free, outer ring included.
+    """
     # Rock beyond the outer ring, so that two steps ahead no cell is missing.
     is_open = np.zeros((rows + 4, columns + 4), bool)
     is_open[[0, -1]] = is_open[:, [0, -1]] = True
-    way = [(2 + 2 * int(rng.integers(rows // 2 + 1)), 2 + 2 * int(rng.integers(columns // 2 + 1)))]
+    way = [(2 + 2 * first[0], 2 + 2 * first[1])]
     is_open[way[0]] = True
 
     while way:

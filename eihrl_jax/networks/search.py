@@ -23,10 +23,6 @@ _OPEN = 3.0
 _FAINT = 0.03
 """Scale of the last layer's first weights: at first all that is unseen is worth the same."""
 
-_GOAL = 1e5
-"""What a goal is worth, in moves: more than anything unseen, however far it is. That goals pay is
-known; that one in sight comes first, wherever else there is something new, is ours."""
-
 _LOG_BOUND = 10.0
 """Greatest size of a worth's logarithm, so that all worths are finite."""
 
@@ -100,7 +96,8 @@ class SearchActorCritic(nn.Module):
 
         moves = self.param("moves_per_worth", nn.initializers.constant(4.0), ())
         logs = jnp.log(jnp.where(unseen, sums, 1.0))
-        return jnp.where(goal, _GOAL, jnp.where(unseen, moves * logs, planning.NOWHERE))
+        # That goals pay is known; that one on the map comes before all that is new is ours.
+        return jnp.where(goal, planning.GOAL, jnp.where(unseen, moves * logs, planning.NOWHERE))
 
     def _around(
         self,
@@ -125,7 +122,7 @@ class SearchActorCritic(nn.Module):
     ) -> Float[Array, ""]:
         """Returns the value, from means over the map and the way to what the robot goes for."""
         wall, goal, _, unseen = (chart[..., channel] for channel in range(4))
-        near = jnp.where(best > _GOAL / 2.0, best - _GOAL, best)
+        near = jnp.where(best > planning.GOAL / 2.0, best - planning.GOAL, best)
         near = jnp.clip(near, -_FARTHEST, _FARTHEST)
         scalars = [
             near / _FARTHEST,

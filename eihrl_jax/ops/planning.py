@@ -20,6 +20,10 @@ NOWHERE = -1e9
 """Stands for minus infinity, of which a gradient would make something that isn't a number."""
 
 
+GOAL = 1e5
+"""What a goal is worth, in moves: more than anything unseen, however far it is."""
+
+
 def value_iteration(
     reward: Float[Array, "n m"], gate: Float[Array, "n m"], num_iterations: int
 ) -> Float[Array, "n m"]:

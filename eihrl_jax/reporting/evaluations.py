@@ -25,6 +25,7 @@ from eihrl_jax.drawing import animation, heatmap
 from eihrl_jax.evaluation import evaluate as evaluation_lib
 from eihrl_jax.evaluation import recording, results, rollouts, tables
 from eihrl_jax.physics import kinematics, scene
+from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import folders, versions
 
 _EPISODE_COLUMNS = (
@@ -157,12 +158,26 @@ def _animate(
     ending: str = "",
 ) -> None:
     """Animates an episode of one agent in one maze."""
-    robot = evaluated.robot
+    file = out / f"{evaluated.agent.file_name}-{maze}{ending}.gif"
+    animate(file, recorded, evaluated.robot, _label(maze))
+
+
+def animate(
+    path: pathlib.Path, recorded: recording.Recording, robot: robot_lib.Robot, title: str
+) -> None:
+    """Animates an episode of a robot.
+
+    Args:
+      path: where the animation goes, a GIF.
+      recorded: the episode.
+      robot: whose it is.
+      title: what is shown.
+    """
     animation.save(
-        out / f"{evaluated.agent.file_name}-{maze}{ending}.gif",
+        path,
         recorded,
         kinematics.capsules(scene.build(robot), robot.units_per_metre),
-        title=_label(maze),
+        title=title,
         reach=robot.reach * robot.units_per_metre,
     )
 

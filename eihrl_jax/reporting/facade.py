@@ -11,12 +11,12 @@ from jaxtyping import Array, Int, Key
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.drawing import animation
 from eihrl_jax.envs import hierarchy, physics_maze
 from eihrl_jax.evaluation import loading, recording
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import tree
-from eihrl_jax.physics import engines, kinematics, scene
+from eihrl_jax.physics import engines
+from eihrl_jax.reporting import evaluations
 from eihrl_jax.robots import robot as robot_lib
 
 BEST = "best"
@@ -136,10 +136,9 @@ class LoadedMaze:
         key = jax.random.fold_in(state.key, _HIGH_STREAM)
         action = self.levels.high.policy(state.obs, key)
         following, trace = self.env.trace(state, action)
-        seen = jnp.packbits(state.obs.reshape(-1))
         # Over is over: numbers of an episode stay while others beside it go on.
         following = tree.where(state.is_over, state, following)
-        return following, recording.Decision(seen=seen, action=action, trace=trace)
+        return following, recording.Decision.of(state.obs, action, trace)
 
     @functools.cached_property
     def _compiled(self) -> tuple[jax.stages.Wrapped, jax.stages.Wrapped]:
@@ -199,10 +198,4 @@ class Episode:
         file = pathlib.Path(path)
         if file.suffix != ".gif":
             raise base.UserError(f"{file} must end in .gif")
-        animation.save(
-            file,
-            self.recording,
-            kinematics.capsules(scene.build(self.robot), self.robot.units_per_metre),
-            title=title or self.robot.name,
-            reach=self.robot.reach * self.robot.units_per_metre,
-        )
+        evaluations.animate(file, self.recording, self.robot, title or self.robot.name)

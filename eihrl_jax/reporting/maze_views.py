@@ -40,9 +40,11 @@ def show(options: maze_config.MazeConfig) -> str:
     wanted = reading.ReadingConfig(**{name: getattr(options, name) for name in names})
     if named is not None:
         kind, origin = "maze by name", f"{named.origin} ({named.licence})"
+        maze = mazes.load(options.file, num_decisions=options.num_decisions, options=wanted)
     else:
-        kind, origin = files.read(options.file, wanted).kind, "your file"
-    maze = mazes.load(options.file, num_decisions=options.num_decisions, options=wanted)
+        plan = files.read(options.file, wanted)
+        kind, origin = plan.kind, "your file"
+        maze = files.of_plan(plan, options.file, num_decisions=options.num_decisions)
 
     _check_new(options.save, options.picture)
     lines = [f"{options.file}: {kind}", f"origin          {origin}", *_facts(maze), ""]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from eihrl_jax import base
-from eihrl_jax.mazes import paths
+from eihrl_jax.mazes import parsing, paths
 from eihrl_jax.mazes.readers import plan as plan_lib
 
 ARROWS = "><^v"
@@ -37,10 +37,7 @@ def jaxued(text: str, name: str) -> plan_lib.Plan:
     """Reads a JaxUED level."""
     rows = [line.strip() for line in text.strip().split("\n")]
     for i, row in enumerate(rows):
-        if len(row) != len(rows[0]):
-            raise base.UserError(
-                f"{name}: row {i + 1} has {len(row)} columns, but row 1 has {len(rows[0])}"
-            )
+        parsing.check_length(len(row), i, len(rows[0]), name)
 
     grid = np.array([list(row) for row in rows])
     starts, goals = paths.cells(np.isin(grid, list(ARROWS))), paths.cells(grid == "G")
@@ -91,10 +88,7 @@ def _minimax(
                     f"{name}: unknown cell {cell[:20]!r} at row {i + 1}, column {j + 1}; known "
                     "are 0 and 1"
                 )
-        if len(row) != len(rows[0]):
-            raise base.UserError(
-                f"{name}: row {i + 1} has {len(row)} columns, but row 1 has {len(rows[0])}"
-            )
+        parsing.check_length(len(row), i, len(rows[0]), name)
     if len(starts) > 1:
         raise base.UserError(f"{name}: {len(starts)} places in agent_pos, a minimax maze has 1")
     return _level("minimax maze", np.array(rows) == "0", starts, goals, name)

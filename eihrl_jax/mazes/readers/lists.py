@@ -86,7 +86,7 @@ def of_d4rl(text: str, name: str) -> plan_lib.Plan:
                     f"{name}: unknown character {character!r} at row {i + 1}, column {j + 1}; "
                     "known are # O 0 and G"
                 )
-        _check_length(len(row), i, len(rows[0]), name)
+        parsing.check_length(len(row), i, len(rows[0]), name)
 
     grid = np.array([list(row) for row in rows])
     goals = paths.cells(grid == "G")
@@ -109,7 +109,7 @@ def _of_rows(rows: Any, options: reading.ReadingConfig, name: str) -> plan_lib.P
             f"{parsing.MAX_SIZE}"
         )
     for i, row in enumerate(rows):
-        _check_length(len(row), i, len(rows[0]), name)
+        parsing.check_length(len(row), i, len(rows[0]), name)
 
     grid = np.array(
         [[_mark(c, i, j, name) for j, c in enumerate(row)] for i, row in enumerate(rows)]
@@ -136,8 +136,3 @@ def _mark(cell: object, i: int, j: int, name: str) -> str:
             "1, 0, 'r', 'g' and 'c'"
         )
     return _NAMES[word]
-
-
-def _check_length(length: int, i: int, expected: int, name: str) -> None:
-    if length != expected:
-        raise base.UserError(f"{name}: row {i + 1} has {length} columns, but row 1 has {expected}")

@@ -10,7 +10,7 @@ import tomllib
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from eihrl_jax.mazes import layouts, perfect
+from eihrl_jax.mazes import layouts, perfect, readers
 
 NUM_PERFECT = 10
 """Perfect mazes of each size; their seeds are 0 and up."""
@@ -127,9 +127,6 @@ def _tasks(entry: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _by_size(text: str) -> int:
-    """Returns the time limit of JaxUED's and minimax's mazes: 2 (H + 2) (W + 2).
-
-    H and W are their sides without the outer wall, so that it is twice the number of our cells.
-    """
+    """Returns the time limit of JaxUED's and minimax's mazes, outer wall left out."""
     rows = text.split()
-    return 2 * len(rows) * len(rows[0])
+    return readers.solver_limit((len(rows) - 2, len(rows[0]) - 2))
