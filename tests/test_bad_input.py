@@ -14,7 +14,7 @@ RUN = "{tmp}/new"
 
 MISTAKES = [
     # trainer and options; what the line must name
-    ("train_low --robot walrus", ["walrus", "point, ant, swimmer, humanoid"]),
+    ("train_low --robot walrus", ["walrus", "point, ant, swimmer, humanoid, go1"]),
     ("train_low --num-envs 0", ["num_envs = 0", "at least 1"]),
     ("train_low --droq.gamma 1.5", ["gamma = 1.5", "at most 1.0"]),
     ("train_low --engine ode", ["--engine", "ode", "mujoco", "mjx"]),

@@ -84,6 +84,10 @@ def features(
         spin=options.velocity_scale * body.spin,
         joint_velocity=options.velocity_scale * body.joint_velocity,
     )
+    if robot.sensors == "onboard":
+        nothing = jnp.zeros(0)
+        body = body._replace(height=nothing, velocity_xy=nothing, velocity_z=nothing)
+
     progress = [displacement_xy / base.CELL, obs.time_left[None]] if options.use_progress else []
     return jnp.concatenate([*body, *code, *progress])
 
@@ -127,7 +131,7 @@ class _Body(NamedTuple):
     height: Float[Array, " 0_or_1"]
     orientation: Float[Array, " 0_or_2_or_4"]  # quaternion, or cosine and sine of the yaw
     joints: Float[Array, " J"]
-    velocity_xy: Float[Array, "2"]  # world frame
+    velocity_xy: Float[Array, " 0_or_2"]  # world frame
     velocity_z: Float[Array, " 0_or_1"]
     spin: Float[Array, " 0_or_1_or_3"]  # free: the body's own frame
     joint_velocity: Float[Array, " J"]

@@ -8,7 +8,7 @@ import tomllib
 
 from eihrl_jax import base
 from eihrl_jax.config import codec
-from eihrl_jax.robots import ant, humanoid, point, swimmer
+from eihrl_jax.robots import ant, go1, humanoid, point, swimmer
 from eihrl_jax.robots.robot import Robot
 
 ASSETS = pathlib.Path(__file__).parent / "assets"
@@ -17,7 +17,7 @@ ASSETS = pathlib.Path(__file__).parent / "assets"
 SUFFIX = ".toml"
 """How the name of a description ends."""
 
-_ROBOTS = {robot.name: robot for robot in (point.ROBOT, ant.ROBOT, swimmer.ROBOT, humanoid.ROBOT)}
+_ROBOTS = {module.ROBOT.name: module.ROBOT for module in (point, ant, swimmer, humanoid, go1)}
 
 NAMES = tuple(_ROBOTS)
 """The robots that come with the package; each has its own module."""

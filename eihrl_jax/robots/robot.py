@@ -12,6 +12,9 @@ from eihrl_jax.robots import symmetry as symmetry_lib
 Root = Literal["free", "planar", "slide"]
 """How a robot's torso is joined to the world, see `Robot`."""
 
+Sensors = Literal["all", "onboard"]
+"""What a low level is told of its robot's state, see `Robot`."""
+
 
 @limits.dataclass
 class Robot:
@@ -43,6 +46,8 @@ class Robot:
       qpos_noise: half-width of the uniform noise on the joints at reset, radians.
       qvel_noise: standard deviation of the noise on velocities at reset, units or radians per
         second.
+      sensors: what its low level sees of its state: "all", or "onboard", what a real robot measures
+        without outside help: no height and no velocity of the torso, see `envs.low_obs`.
       symmetry: how the body maps to itself; None: not at all, or not of use.
     """
 
@@ -62,6 +67,7 @@ class Robot:
     servo_range: limits.Positive | None = None
     qpos_noise: Annotated[float, limits.Range(0.0, 3.2)] = 0.1
     qvel_noise: Annotated[float, limits.Range(0.0, 10.0)] = 0.1
+    sensors: Sensors = "all"
     symmetry: symmetry_lib.Symmetry | None = None
 
     def __post_init__(self) -> None:

@@ -19,7 +19,7 @@ from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import engines, scene
 from eihrl_jax.robots import symmetry as symmetry_lib
 
-POINT, ANT, SWIMMER, HUMANOID = (robots.load(name) for name in robots.NAMES)
+POINT, ANT, SWIMMER, HUMANOID, GO1 = (robots.load(name) for name in robots.NAMES)
 CART = robots.load(str(pathlib.Path(__file__).parents[2] / "docs" / "robots" / "cart.toml"))
 CANONICAL = low_config.LowInput(frame="canonical", use_progress=True)
 
@@ -81,6 +81,20 @@ def test_only_joint_velocities_and_spin_are_scaled():
     factor = np.ones(35)
     factor[16:27] = 0.1  # after height, quaternion, joints and the torso's velocity
     np.testing.assert_allclose(scaled, factor * plain, rtol=1e-6)
+
+
+def test_what_a_real_robot_cannot_measure_is_not_seen():
+    """Height and velocity of the torso change nothing; its attitude, spin and joints do."""
+    size = 1 + 4 + 12 + 6 + 12
+    obs = _random_obs(GO1, size)
+    options = low_config.LowInput(frame="direction", use_progress=True)
+    found = low_obs.features(obs, GO1, options)
+    assert found.shape == (4 + 12 + 3 + 12 + 3,)
+    changes = [
+        (low_obs.features(obs.replace(proprioception=moved), GO1, options) != found).any()
+        for moved in obs.proprioception[None] + jnp.eye(size)
+    ]
+    assert [i for i, seen in enumerate(changes) if not seen] == [0, 17, 18, 19]
 
 
 @pytest.mark.parametrize("robot", [ANT, POINT], ids=lambda robot: robot.name)
@@ -150,7 +164,7 @@ def compiled(robot):
 
 SYMMETRIC = [
     (robot, variant)
-    for robot in (POINT, ANT, SWIMMER, HUMANOID, CART)
+    for robot in (POINT, ANT, SWIMMER, HUMANOID, GO1, CART)
     for variant in range(len(robot.symmetry.joint_tables()[0]))
 ]
 
@@ -187,7 +201,7 @@ def test_canonical_bodies_face_the_subgoal():
 
 
 def test_inverse_tables_undo_renaming():
-    for robot in (ANT, SWIMMER, HUMANOID):
+    for robot in (ANT, SWIMMER, HUMANOID, GO1):
         order, signs = robot.symmetry.control_tables()
         back, back_signs = symmetry_lib.inverse(order, signs)
         values = np.arange(1.0, order.shape[1] + 1)

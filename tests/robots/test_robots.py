@@ -52,7 +52,8 @@ def test_names():
 def test_description_fits_the_model(name):
     robot = robots.load(name)
     model = scene.build(robot)
-    np.testing.assert_array_equal(model.actuator_ctrlrange, [[-1.0, 1.0]] * model.nu)
+    half = 1.0 if robot.servo_range is None else robot.servo_range
+    np.testing.assert_allclose(np.diff(model.actuator_ctrlrange), 2 * half)
     first = mujoco.mjtJoint(model.jnt_type[0])
     assert model.body(1).name == "torso"
     if robot.root == "free":
@@ -102,8 +103,9 @@ def test_steps_stably(name, kind):
         assert np.abs(qvel[-1]).max() > 0.05
 
 
-def test_ant_settles_on_its_feet():
-    engine = engines.make(robots.load("ant"))
+@pytest.mark.parametrize("name", ["ant", "go1"])
+def test_quadrupeds_settle_on_their_feet(name):
+    engine = engines.make(robots.load(name))
     qpos, _ = roll(engine, ctrls_of(engine, 200, "still"))
     low, high = engine.robot.healthy_z
     assert low < qpos[-1, 0, 2] < high
@@ -148,7 +150,7 @@ def test_swimmer_is_stopped_by_a_wall():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["point", "swimmer", "humanoid"])
+@pytest.mark.parametrize("name", ["point", "swimmer", "humanoid", "go1"])
 def test_mjx_agrees_on_the_other_robots(name):
     """Ten control steps with random controls; the ant's comparison is in tests/physics."""
     robot = robots.load(name)
