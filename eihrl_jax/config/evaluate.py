@@ -62,7 +62,8 @@ class EvaluateConfig:
       animate: an animation of one maze, of all, of an episode that failed in each, or of none.
       quick: a first look: 20 episodes, full movement alone and no heatmaps, where nothing else is
         asked for.
-      heatmaps: draw where the robot was, one picture per maze and agent.
+      heatmaps: draw where the robot was, one picture per maze and agent, and where those episodes
+        ended that failed.
 
     >>> EvaluateConfig(mazes=("u", "spiral"), episodes=100).seeds
     (0,)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from eihrl_jax import base
 from eihrl_jax.drawing import figures, layout, palette
-from eihrl_jax.evaluation import rollouts
+from eihrl_jax.evaluation import whereabouts
 from eihrl_jax.mazes import maze as maze_lib
 
 
@@ -25,8 +25,8 @@ class Visits:
     Attributes:
       title: what the picture is called.
       maze: the maze as it was loaded, its door candidates not yet drawn.
-      share: float [R * b, C * b], b = `rollouts.BINS_PER_CELL`, share of the episodes in which the
-        torso was in a bin at least once, in [0, 1]; row 0 is the north.
+      share: float [R * b, C * b], b = `whereabouts.BINS_PER_CELL`, share of the episodes in which
+        the torso was in a bin at least once, in [0, 1]; row 0 is the north.
     """
 
     title: str
@@ -48,7 +48,7 @@ def save(path: pathlib.Path, visits: Visits) -> None:
     right = axes.inset_axes((1.02, 0.0, 0.14, 1.0), sharey=axes)
     scale = axes.inset_axes((1.20, 0.0, 0.035, 1.0))
 
-    side = base.CELL / rollouts.BINS_PER_CELL
+    side = base.CELL / whereabouts.BINS_PER_CELL
     x = (np.arange(visits.share.shape[1]) + 0.5) * side
     top.bar(x, visits.share.sum(0), width=side, color=palette.GOAL)
     top.set_title(visits.title, loc="left", color=palette.INK, weight="bold", parse_math=False)

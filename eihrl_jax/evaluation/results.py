@@ -57,7 +57,8 @@ class Episodes(struct.PyTreeNode):
     """Numbers of E finished episodes, on the host.
 
     Attributes:
-      achieved: int [E], goals reached.
+      visited: bool [E, G], which goals were reached, G at least as many as there are.
+      end_xy: float [E, 2], where the torso was at the end, units.
       returns: float [E], undiscounted return, unitless.
       decisions: int [E], decisions used.
       has_fallen: bool [E], whether the robot ever fell.
@@ -66,13 +67,19 @@ class Episodes(struct.PyTreeNode):
       shortest: int [E], moves of the shortest tour of all goals; None where nobody has counted.
     """
 
-    achieved: Int[np.ndarray, " E"]
+    visited: Bool[np.ndarray, "E G"]
+    end_xy: Float[np.ndarray, "E 2"]
     returns: Float[np.ndarray, " E"]
     decisions: Int[np.ndarray, " E"]
     has_fallen: Bool[np.ndarray, " E"]
     is_unstable: Bool[np.ndarray, " E"]
     seed: Int[np.ndarray, " E"]
     shortest: Int[np.ndarray, " E"] | None = None
+
+    @property
+    def achieved(self) -> Int[np.ndarray, " E"]:
+        """Number of goals reached, int [E]."""
+        return self.visited.sum(-1)
 
     def outcomes(self, num_goals: int) -> list[str]:
         """Names each episode's outcome, one of `OUTCOMES`."""
@@ -111,6 +118,8 @@ class Cell:
         where there is none, or where episodes go on when they are solved.
       num_falls: episodes in which the robot fell.
       outcomes: number of episodes by outcome.
+      goal_rates: share of the episodes that reached each goal, from goal 1 on; () in files from
+        before these were counted.
     """
 
     maze: str
@@ -127,6 +136,7 @@ class Cell:
     path_ratio: float | None = None
     num_falls: int
     outcomes: Outcomes
+    goal_rates: tuple[float, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -172,6 +182,7 @@ def summarise(
         path_ratio=ratio,
         num_falls=int(episodes.has_fallen.sum()),
         outcomes=Outcomes(**{name: counts[name] for name in OUTCOMES}),
+        goal_rates=tuple(episodes.visited[:, :num_goals].mean(0).tolist()),
     )
 
 

@@ -14,12 +14,13 @@ from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, Key, UInt32
+from jaxtyping import Array, Float, Int, Key, UInt32
 
 from eihrl_jax import base, mazes
 from eihrl_jax.envs import hierarchy, raster
 from eihrl_jax.evaluation import recording as recording_lib
 from eihrl_jax.evaluation import results
+from eihrl_jax.evaluation import whereabouts as whereabouts_lib
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import paths
 from eihrl_jax.ops import tree
@@ -31,9 +32,6 @@ MAX_ROWS = 1024
 MAX_BYTES = 2**30
 """What they may take at once, more than all else an evaluation needs where mazes are huge; half as
 much again may be recorded."""
-
-BINS_PER_CELL = 6
-"""Bins along a cell's side, in which visits are counted."""
 
 HighPolicy: TypeAlias = Callable[[raster.Picture | None, Key[Array, ""]], Int[Array, ""]]
 """From the patch and a key to a direction; a pytree (`jax.tree_util.Partial`) of its parameters."""
@@ -63,8 +61,8 @@ class Rollout:
 
     Attributes:
       episodes: their numbers.
-      share: float [R * b, C * b], b = `BINS_PER_CELL`, share of the episodes in which the torso was
-        in a bin at least once, in [0, 1]; row 0 is the north.
+      share: float [R * b, C * b], b = `whereabouts.BINS_PER_CELL`, share of the episodes in which
+        the torso was in a bin at least once, in [0, 1]; row 0 is the north.
       recordings: the first episodes of the first seed, to be drawn.
     """
 
@@ -139,7 +137,8 @@ class Runner:
         """
         self._env, self._plan = env, plan
         self._rows, self._mazes = plan.rows, list(plan.mazes.values())
-        self._bins = BINS_PER_CELL * np.max([maze.wall.shape for maze in self._mazes], axis=0)
+        shapes = [maze.wall.shape for maze in self._mazes]
+        self._bins = whereabouts_lib.BINS_PER_CELL * np.max(shapes, axis=0)
         self._is_recorded = np.array([name in (plan.recorded or plan.mazes) for name in plan.mazes])
         self._recorded_each = self._num_recorded_each()
         self._num_recorded = int(self._is_recorded.sum()) * self._recorded_each
@@ -211,7 +210,7 @@ class Runner:
             with progress.compiling("episodes"):
                 # Not left to the first call: `jit` would compile once more when the states come
                 # back committed to the device of a loaded policy. Bins are marked in place.
-                decide = jax.jit(self._decide, donate_argnames="was_there")
+                decide = jax.jit(self._decide, donate_argnames="places")
                 first = *self._begin(self._rows), jnp.int32(0)
                 self._compiled[kind] = decide.lower(high_policy, *first).compile()
         return self._compiled[kind]
@@ -220,17 +219,17 @@ class Runner:
         self,
         high_policy: HighPolicy,
         state: base.EnvState,
-        was_there: Bool[Array, "E rows columns"],
+        places: whereabouts_lib.Whereabouts,
         keys: Key[Array, " E"],
         recorded: Int[Array, " R"],
         t: Int[Array, ""],
-    ) -> tuple[base.EnvState, Bool[Array, "E rows columns"], recording_lib.Decision]:
+    ) -> tuple[base.EnvState, whereabouts_lib.Whereabouts, recording_lib.Decision]:
         """Makes decision `t` of every episode that is not over, and picks what is recorded of it.
 
         Args:
           high_policy: chooses the directions.
           state: of the environments.
-          was_there: bins in which the torso has been.
+          places: where the torsos are, and have been.
           keys: of the high level's draws, the same in all decisions.
           recorded: rows of the episodes that are recorded.
           t: number of the decision.
@@ -240,48 +239,50 @@ class Runner:
         """
 
         def decide(
-            state: base.EnvState, was_there: Bool[Array, "rows columns"], key: Key[Array, ""]
-        ) -> tuple[base.EnvState, Bool[Array, "rows columns"], recording_lib.Decision]:
+            state: base.EnvState, place: whereabouts_lib.Whereabouts, key: Key[Array, ""]
+        ) -> tuple[base.EnvState, whereabouts_lib.Whereabouts, recording_lib.Decision]:
             action = high_policy(state.obs, jax.random.fold_in(key, t))
             following, trace = self._env.trace(state, action)
 
             # Over is over: numbers of an episode stay while the others of its batch go on.
             kept = tree.where(state.is_over, state, following)
             decision = recording_lib.Decision.of(state.obs, action, trace)
-            return kept, _mark(was_there, trace), decision
+            return kept, place.after(trace), decision
 
-        state, was_there, decision = jax.vmap(decide)(state, was_there, keys)
-        return state, was_there, jax.tree.map(lambda leaf: leaf[recorded], decision)
+        state, places, decision = jax.vmap(decide)(state, places, keys)
+        return state, places, jax.tree.map(lambda leaf: leaf[recorded], decision)
 
     def _run_batch(
         self,
-        decide: Callable[..., tuple[base.EnvState, Array, recording_lib.Decision]],
+        decide: Callable[
+            ..., tuple[base.EnvState, whereabouts_lib.Whereabouts, recording_lib.Decision]
+        ],
         rows: Int[np.ndarray, "E 3"],
         report: Callable[[base.EnvState], None],
     ) -> _Batch:
         """Runs episodes to their ends."""
-        state, was_there, keys, recorded = self._begin(rows)
+        state, places, keys, recorded = self._begin(rows)
         history: list[recording_lib.Decision] = []
         while not state.is_over.all():
             t = jnp.int32(len(history))  # typed as the program was compiled
-            state, was_there, decision = decide(state, was_there, keys, recorded, t)
+            state, places, decision = decide(state, places, keys, recorded, t)
             # To the host at once, so that the device holds one decision's record only.
             history.append(jax.device_get(decision))
             report(state)
-        return self._finish(rows, state, was_there, history)
+        return self._finish(rows, state, places, history)
 
     def _begin(
         self, rows: Int[np.ndarray, "_ 3"]
-    ) -> tuple[base.EnvState, Bool[Array, "E rows columns"], Key[Array, " E"], Int[Array, " R"]]:
+    ) -> tuple[base.EnvState, whereabouts_lib.Whereabouts, Key[Array, " E"], Int[Array, " R"]]:
         """Returns what `_decide` takes between policy and number of the decision."""
         # A short batch repeats its rows; `_finish` leaves out what is beyond them.
         padded = np.resize(rows, (self._size, 3))
         env_keys, high_keys = _streams(padded, list(self._plan.mazes))
         state = self._reset(env_keys, jnp.asarray(padded[:, 1], jnp.int32))
-        was_there = jnp.zeros((self._size, *self._bins), bool)
+        places = whereabouts_lib.Whereabouts.at_the_start(self._size, *self._bins.tolist())
         # As many in every batch, since they are an argument of one shape.
         recorded = np.resize(self._recorded(rows), self._num_recorded)
-        return state, was_there, high_keys, jnp.asarray(recorded, jnp.int32)
+        return state, places, high_keys, jnp.asarray(recorded, jnp.int32)
 
     def _recorded(self, rows: Int[np.ndarray, "E 3"]) -> Int[np.ndarray, " R"]:
         """Returns which rows of a batch are recorded."""
@@ -292,18 +293,19 @@ class Runner:
         self,
         rows: Int[np.ndarray, "E 3"],
         state: base.EnvState,
-        was_there: Bool[Array, "_ rows columns"],
+        places: whereabouts_lib.Whereabouts,
         history: list[recording_lib.Decision],
     ) -> _Batch:
         """Reads the numbers, visits and recordings of a batch that is over."""
-        nav, metrics, visited = jax.tree.map(
+        nav, metrics, places = jax.tree.map(
             lambda leaf: np.asarray(leaf)[: len(rows)],
-            (state.inner.nav, state.metrics, was_there),
+            (state.inner.nav, state.metrics, places),
         )
         # Oracle movement neither falls nor breaks down, and has no such metrics.
         never = np.zeros(len(rows))
         episodes = results.Episodes(
-            achieved=nav.visited.sum(-1),
+            visited=nav.visited,
+            end_xy=np.asarray(places.xy),
             returns=metrics["return"],
             decisions=nav.decisions,
             has_fallen=metrics.get("fell", never) > 0.0,
@@ -313,7 +315,8 @@ class Runner:
         )
 
         # Summed per batch: bins of every single episode would pile up in memory.
-        visits = [visited[rows[:, 1] == maze].sum(0) for maze in range(len(self._mazes))]
+        was_there = places.was_there
+        visits = [was_there[rows[:, 1] == maze].sum(0) for maze in range(len(self._mazes))]
 
         # Each is cut to the decisions that its episode took, and drawn with the door it had.
         recordings: list[list[recording_lib.Recording]] = [[] for _ in self._mazes]
@@ -351,7 +354,9 @@ class Runner:
         for index, (name, maze) in enumerate(self._plan.mazes.items()):
             is_here = self._rows[:, 1] == index
             # Bins of the padding, by which mazes are made equally large, are cut off.
-            num_rows, num_columns = (BINS_PER_CELL * side for side in maze.wall.shape)
+            num_rows, num_columns = (
+                whereabouts_lib.BINS_PER_CELL * side for side in maze.wall.shape
+            )
             rollouts[name] = Rollout(
                 episodes=jax.tree.map(lambda column, here=is_here: column[here], episodes),
                 share=visits[index, :num_rows, :num_columns] / is_here.sum(),
@@ -379,17 +384,3 @@ def _streams(
     columns = (rows[:, 0], hashes[rows[:, 1]], rows[:, 2])
     keys = jax.vmap(stream)(*(jnp.asarray(column, jnp.uint32) for column in columns))
     return keys[:, 0], keys[:, 1]
-
-
-def _mark(
-    was_there: Bool[Array, "rows columns"], trace: hierarchy.Trace
-) -> Bool[Array, "rows columns"]:
-    """Marks the bins that the torso of a running episode comes through."""
-    num_rows, _ = was_there.shape
-    # Rows count southwards from the maze's upper left corner, against y.
-    x, y = trace.qpos[:, 0], trace.qpos[:, 1]
-    side = base.CELL / BINS_PER_CELL
-    i, j = jnp.floor(-y / side).astype(jnp.int32), jnp.floor(x / side).astype(jnp.int32)
-    # Beyond the last row nothing is marked; a negative index would count from the end.
-    i = jnp.where(trace.is_running & (i >= 0) & (j >= 0), i, num_rows)
-    return was_there.at[i, j].set(True, mode="drop")

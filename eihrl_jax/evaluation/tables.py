@@ -97,6 +97,8 @@ def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
             if suite in whole:
                 body.append(_suite_row(suite, [by_maze[name] for name in whole.pop(suite)]))
             body.append(_maze_row(cell, "  " if suite else ""))
+            if len(cell.goal_rates) > 1:
+                body.append(_goal_row(cell, len(header)))
         tables.append(Table(_title(agent), header, body))
     return tables
 
@@ -113,6 +115,12 @@ def _maze_row(cell: results.Cell, indent: str) -> list[str]:
         _failures([cell]),
         str(cell.num_episodes),
     ]
+
+
+def _goal_row(cell: results.Cell, num_columns: int) -> list[str]:
+    """Returns the row below a maze's that tells how many episodes reached each of its goals."""
+    rates = " / ".join(f"{100 * rate:.0f}" for rate in cell.goal_rates)
+    return ["  goal by goal, %", rates, *[""] * (num_columns - 2)]
 
 
 def _suite_row(suite: str, cells: Sequence[results.Cell]) -> list[str]:

@@ -111,6 +111,8 @@ def evaluated(options: evaluate_config.EvaluateConfig) -> tuple[results.Cell, ..
     evaluation = results.load(options.out / "eval.json")
     asked = json.loads(codec.to_json(options))
     about = evaluation.about if isinstance(evaluation.about, dict) else {}
-    if {**about.get("config", {}), "out": ""} != {**asked, "out": ""}:
+    # An option that is newer than the evaluation had its default in it.
+    default = json.loads(codec.to_json(evaluate_config.EvaluateConfig()))
+    if {**default, **about.get("config", {}), "out": ""} != {**asked, "out": ""}:
         raise base.UserError(f"{options.out} was evaluated with other options: name another --out")
     return evaluation.cells

@@ -5,6 +5,7 @@
     episodes.csv                 one row per episode
     <agent>-<maze>-heatmap.png  visited positions (paper, Figure 7)
     <agent>-heatmaps.png        all mazes on one scale
+    <agent>-ends.png            where episodes ended that failed, if any did
     <agent>-<maze>.gif          an episode
 
 An agent's name consists of its robot, movement and high level, e.g. `ant-full-uniform`.
@@ -22,6 +23,7 @@ import numpy as np
 from eihrl_jax.config import changes, codec
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.drawing import animation, heatmap
+from eihrl_jax.drawing import endings as endings_lib
 from eihrl_jax.evaluation import evaluate as evaluation_lib
 from eihrl_jax.evaluation import recording, results, rollouts, tables
 from eihrl_jax.physics import kinematics, scene
@@ -30,7 +32,7 @@ from eihrl_jax.runs import folders, versions
 
 _EPISODE_COLUMNS = (
     *("robot", "movement", "high", "low", "maze", "seed", "episode", "achieved", "goals"),
-    *("return", "decisions", "fell", "outcome", "shortest"),
+    *("return", "decisions", "fell", "outcome", "shortest", "end_x", "end_y"),
 )
 
 
@@ -86,6 +88,7 @@ def _write(evaluated: evaluation_lib.Evaluated, options: evaluate_config.Evaluat
     _write_episodes(options.out / "episodes.csv", evaluated)
     if options.heatmaps:
         _draw_heatmaps(options.out, evaluated)
+        _draw_endings(options.out, evaluated)
 
     # "one": the last agent's first maze, a single picture for the whole evaluation.
     names = [name for name, rollout in evaluated.rollouts.items() if rollout.recordings]
@@ -113,12 +116,14 @@ def _write_episodes(path: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> 
                 *(episodes.decisions.tolist(), episodes.has_fallen.tolist()),
                 episodes.outcomes(num_goals),
                 [""] * len(episodes.seed) if episodes.shortest is None else episodes.shortest,
+                episodes.end_xy.astype(float).round(2).tolist(),
             )
             numbers = collections.defaultdict[int, Iterator[int]](itertools.count)  # by seed
-            for seed, achieved, paid, decisions, fell, outcome, moves in zip(*columns, strict=True):
+            for seed, achieved, paid, decisions, fell, *rest in zip(*columns, strict=True):
                 row = [agent.robot, agent.movement, agent.high, agent.low or "", maze, seed]
                 row += [next(numbers[seed]), achieved, num_goals, paid, decisions, int(fell)]
-                writer.writerow([*row, outcome, moves])
+                outcome, moves, end_xy = rest
+                writer.writerow([*row, outcome, moves, *end_xy])
 
 
 def _draw_heatmaps(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:
@@ -135,6 +140,21 @@ def _draw_heatmaps(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> No
         heatmap.save(out / f"{agent.file_name}-{name}-heatmap.png", item)
     if len(visits) > 1:
         heatmap.save_together(out / f"{agent.file_name}-heatmaps.png", list(visits.values()))
+
+
+def _draw_endings(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:
+    """Draws where the episodes of one agent ended that failed, if any did."""
+    endings = [
+        endings_lib.Endings(
+            title=_label(name),
+            maze=evaluated.mazes[name],
+            outcomes=rollout.episodes.outcomes(int(evaluated.mazes[name].num_goals)),
+            end_xy=rollout.episodes.end_xy,
+        )
+        for name, rollout in evaluated.rollouts.items()
+    ]
+    if any(outcome != "solved" for item in endings for outcome in item.outcomes):
+        endings_lib.save(out / f"{evaluated.agent.file_name}-ends.png", endings)
 
 
 def _animate_failed(out: pathlib.Path, evaluated: evaluation_lib.Evaluated, maze: str) -> None:

@@ -6,7 +6,7 @@ from PIL import Image
 from eihrl_jax import base, mazes
 from eihrl_jax.drawing import animation, curves, heatmap, palette, picture, raycast
 from eihrl_jax.evaluation import recording as recording_lib
-from eihrl_jax.evaluation import rollouts
+from eihrl_jax.evaluation import whereabouts
 from eihrl_jax.reporting import learning_curve
 
 TEXT = """\
@@ -180,7 +180,7 @@ def test_goal_changes_colour_when_it_is_reached(recording):
 
 
 def test_heatmap_shows_visits_and_walls(tmp_path, maze):
-    bins = rollouts.BINS_PER_CELL
+    bins = whereabouts.BINS_PER_CELL
     share = np.zeros((5 * bins, 8 * bins))
     share[bins : 2 * bins, bins : 2 * bins] = 1.0
     visits = heatmap.Visits("$x_{$ of mine", maze, share)
@@ -193,7 +193,7 @@ def test_heatmap_shows_visits_and_walls(tmp_path, maze):
 
 
 def test_heatmap_of_nothing_is_drawn(tmp_path, maze):
-    bins = rollouts.BINS_PER_CELL
+    bins = whereabouts.BINS_PER_CELL
     visits = heatmap.Visits("mine", maze, np.zeros((5 * bins, 8 * bins)))
     heatmap.save(tmp_path / "none.png", visits)
 

@@ -15,7 +15,8 @@ ANT = results.Agent(robot="ant", movement="full", high="runs/one", low="ant")
 def episodes(achieved, fallen, unstable, seed=None):
     num = len(achieved)
     return results.Episodes(
-        achieved=np.array(achieved),
+        visited=np.arange(max(achieved, default=0)) < np.array(achieved)[:, None],
+        end_xy=np.zeros((num, 2)),
         returns=np.array(achieved, float),
         decisions=np.arange(1, num + 1),
         has_fallen=np.array(fallen, bool),
@@ -49,6 +50,8 @@ def test_seeds_are_summarised_apart():
     assert summary.seeds == (7, 3)
     assert summary.seed_rates == (0.75, 0.0)
     assert summary.success.rate == 0.375
+    assert summary.goal_rates == (0.5, 0.25)
+    assert "|   goal by goal, % | 50 / 25 |" in tables.markdown([summary])
 
 
 def test_eval_json_round_trip(tmp_path):

@@ -102,6 +102,7 @@ def test_files_tell_the_same(evaluation, options):
         assert achieved.mean() / cell.num_goals == cell.success.rate
         assert achieved.max() <= cell.num_goals
         assert [float(row["return"]) for row in mine] == achieved.tolist()
+        assert sum(cell.goal_rates) == pytest.approx(achieved.mean())
     assert "own" in (options.out / "tables.md").read_text()
 
 
@@ -111,6 +112,7 @@ def test_pictures_are_written(evaluation, options):
     labels = ("point-full-high", "point-oracle-high")
     expected = [f"{label}-heatmaps.png" for label in labels]
     expected += [f"{label}-{maze}-heatmap.png" for label in labels for maze in ("own", "random")]
+    expected += [f"{label}-ends.png" for label in labels]
     assert names == sorted(expected)
     (gif,) = options.out.glob("*.gif")
     with Image.open(gif) as image:
@@ -205,14 +207,16 @@ def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, m
 
 def test_only_running_episodes_leave_traces():
     rollout = random_walk(40, num_recorded=40)
-    count = np.zeros(rollout.share.shape)
+    count, ends = np.zeros(rollout.share.shape), []
     for recording, decisions in zip(rollout.recordings, rollout.episodes.decisions, strict=True):
         assert len(recording.direction) == len(recording.patch) == decisions
         assert len(recording.qpos) == 6 * decisions
+        ends.append(recording.qpos[-1, :2])
         x, y = recording.qpos[:, :2].T
         bins = np.stack([-y, x]) / (base.CELL / 6)
         count[tuple(np.unique(np.floor(bins).astype(int), axis=1))] += 1
     np.testing.assert_allclose(rollout.share, count / 40)
+    np.testing.assert_array_equal(rollout.episodes.end_xy, ends)
     typical = evaluations.typical(rollout)
     solved = rollout.episodes.achieved == 1
     if solved.any():

@@ -16,7 +16,8 @@ ANT = results.Agent(robot="ant", movement="oracle", high="0", low=None)
 def cell(maze, achieved, **agent):
     num = len(achieved)
     episodes = results.Episodes(
-        achieved=np.array(achieved),
+        visited=np.array(achieved, bool)[:, None],
+        end_xy=np.zeros((num, 2)),
         returns=np.zeros(num),
         decisions=np.ones(num, int),
         has_fallen=np.arange(num) == 0,

@@ -56,7 +56,8 @@ def made_up_evaluation(options):
         for maze in options.mazes:
             num = options.episodes
             episodes = results.Episodes(
-                achieved=np.random.default_rng(len(cells)).integers(0, 2, num),
+                visited=np.random.default_rng(len(cells)).integers(0, 2, (num, 1)) > 0,
+                end_xy=np.zeros((num, 2)),
                 returns=np.zeros(num),
                 decisions=np.ones(num, int),
                 has_fallen=np.zeros(num, bool),
