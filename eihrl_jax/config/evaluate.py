@@ -32,8 +32,8 @@ class EvaluateConfig:
 
     Attributes:
       mazes: names (random, u, s, spiral, g1, g2, g3), suites (paper, jaxued, ogbench, jaxgcrl,
-        gymnasium-robotics, perfect-19, perfect-51, perfect-101), names of mazes in them, such as
-        jaxued-labyrinth, or text files; default: Table 1 of the paper.
+        gymnasium-robotics, perfect-19, perfect-51, perfect-101, development), names of mazes in
+        them, such as jaxued-labyrinth, or text files; default: Table 1 of the paper.
       robot: point, ant, swimmer, humanoid or description files (docs/robots.md).
       movement: oracle: the simulator moves the torso; full: the robot itself, with a low level.
       high: run folders, policy folders or names of shipped policies; uniform: uniform directions;

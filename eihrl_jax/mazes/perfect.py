@@ -11,13 +11,15 @@ MAX_INSIDE = parsing.MAX_SIZE - 3
 """Largest number of rows or columns inside the outer ring; it is odd."""
 
 
-def perfect_maze(seed: int, rows: int, columns: int) -> str:
+def perfect_maze(seed: int, rows: int, columns: int, *, loops: float = 0.0) -> str:
     """Draws the text of a perfect maze; the same arguments give the same maze.
 
     Args:
       seed: of the maze, at least 0.
       rows: number of rows inside the outer ring; odd, at least 3.
       columns: number of columns inside the outer ring; odd, at least 3.
+      loops: share of the inner cells that are opened afterwards, 0 to 1: the maze is no longer
+        perfect, its ways meet again.
 
     Returns:
       A text for `parsing.parse`, start and goal drawn from all free cells.
@@ -33,6 +35,7 @@ def perfect_maze(seed: int, rows: int, columns: int) -> str:
     ...
     """
     checks.in_range("seed", seed, 0)
+    checks.in_range("loops", loops, 0.0, 1.0)
     for name, side in (("rows", rows), ("columns", columns)):
         checks.in_range(name, side, 3, MAX_INSIDE)
         if side % 2 == 0:
@@ -42,6 +45,8 @@ def perfect_maze(seed: int, rows: int, columns: int) -> str:
     grid = np.full((rows + 2, columns + 2), "#")
     first = int(rng.integers(rows // 2 + 1)), int(rng.integers(columns // 2 + 1))
     grid[ways(rng, rows, columns, first)] = "."
+    if loops:
+        grid[1:-1, 1:-1][rng.random((rows, columns)) < loops] = "."
 
     # The goal first, then the start among the other cells.
     free = paths.cells(grid == ".")

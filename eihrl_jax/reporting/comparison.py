@@ -5,10 +5,12 @@ alike from different seeds, over which mean and standard deviation are taken.
 """
 
 import dataclasses
+import re
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.evaluation import paper, results, statistics, tables
 
 NOTE = (
@@ -53,10 +55,56 @@ def by_movement(
 
 
 def of_variants(title: str, evaluated: Mapping[str, Sequence[results.Cell]]) -> tables.Table:
-    """Compares what trainings with one thing changed reach in Table 1, movement by movement."""
+    """Compares what trainings with one thing changed reach, movement by movement.
+
+    Beside the classical search it is compared in whatever mazes it was evaluated in, else in those
+    of Table 1.
+    """
+    if evaluate_config.FRONTIER in evaluated:
+        return of_searches(title, evaluated, evaluate_config.FRONTIER)
+
     # Movement by movement: variants are compared under the same movement.
     rows = [row for movement in MOVEMENTS for row in by_movement(evaluated, (movement,))]
     return success_by_maze(title, rows, tuple(tables.TABLE1_MAZES))
+
+
+def of_searches(
+    title: str, evaluated: Mapping[str, Sequence[results.Cell]], reference: str
+) -> tables.Table:
+    """Compares searches in many mazes: success, and decisions over those of a reference.
+
+    Args:
+      title: of the table.
+      evaluated: results by label; movements are told apart.
+      reference: the label whose decisions the others' are divided by, maze by maze.
+
+    Returns:
+      A table with a column for each kind of maze: its name up to the numbers at its end.
+    """
+    kinds = list(dict.fromkeys(_kind(cell) for cells in evaluated.values() for cell in cells))
+    header = ["success %, decisions / reference"]
+    body = []
+    for movement in MOVEMENTS:
+        costs = {cell.maze: cell for cell in select(evaluated.get(reference, ()), movement)}
+        for row in by_movement(evaluated, (movement,)):
+            parts = [[cell for cell in row.cells if _kind(cell) == kind] for kind in kinds]
+            body.append([row.label, *(f"{mean(part)}, {_relative(part, costs)}" for part in parts)])
+    return tables.Table(title, [*header, *kinds], body)
+
+
+def _kind(cell: results.Cell) -> str:
+    """Returns the name of a maze without the numbers at its end."""
+    return re.sub(r"(-\d+)+$", "", cell.maze)
+
+
+def _relative(cells: Sequence[results.Cell], costs: Mapping[str, results.Cell]) -> str:
+    """Writes the mean over mazes of decisions over a reference's in the same maze."""
+    ratios = [
+        cell.decisions_mean / costs[cell.maze].decisions_mean
+        for cell in cells
+        if cell.maze in costs
+    ]
+    return f"{np.mean(ratios):.3f}" if ratios else "-"
 
 
 def success_by_maze(title: str, rows: Sequence[Row], mazes: Sequence[str]) -> tables.Table:

@@ -314,9 +314,9 @@ def _rooms(runs: Runs) -> tuple[str, ...]:
 
 
 def _ablation_order(path: pathlib.Path) -> tuple[int, str]:
-    """Puts the preset itself first and uniform directions last."""
+    """Puts the preset itself first, and last what learns nothing."""
     name = _variant(path)
-    return {"preset": 0, paper.RAND_H: 2}.get(name, 1), name
+    return {"preset": 0, paper.RAND_H: 2, evaluate_config.FRONTIER: 2}.get(name, 1), name
 
 
 def _variant(path: pathlib.Path) -> str:

@@ -9,6 +9,7 @@ from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.drawing import curves
 from eihrl_jax.evaluation import paper, tables
+from eihrl_jax.mazes import suites
 from eihrl_jax.reporting import cached_runs, comparison
 from eihrl_jax.studies import ablation
 from eihrl_jax.training import high
@@ -43,7 +44,7 @@ SEARCH_VARIANTS: dict[str, dict[str, object]] = {
 
 def variants(preset: str) -> dict[str, dict[str, object]]:
     """Returns what is changed of a preset."""
-    return SEARCH_VARIANTS if presets.HIGH[preset].network.kind == "search" else VARIANTS
+    return SEARCH_VARIANTS if _searches(preset) else VARIANTS
 
 
 @limits.dataclass
@@ -51,9 +52,10 @@ class AblationConfig:
     """Trains a preset of the high level with one thing changed at a time, and compares.
 
     Every variant is trained on the Random Square for the same number of updates, then evaluated
-    unchanged in the mazes of Table 1, beside uniform directions (RAND-H). Runs and evaluations that
-    the folder already holds are continued or taken as they are. Writes table.md and curves.png from
-    all variants that are there.
+    unchanged in other mazes, beside a high level that learns nothing: uniform directions (RAND-H),
+    or the classical search for presets that search. Runs and evaluations that the folder already
+    holds are continued or taken as they are. Writes table.md and curves.png from all variants that
+    are there.
 
     Attributes:
       preset: of `train_high`; `paper` has 64 workers and sees postures, `best` searches a map.
@@ -61,6 +63,8 @@ class AblationConfig:
       seeds: of the training runs of each variant.
       num_updates: of each run, a multiple of the preset's `log_every`; None: the preset's.
       robot: that walks.
+      mazes: to evaluate in; default: those of Table 1, for presets that search the suite in which
+        choices are made, `development`.
       movement: of the evaluation; oracle moves with an epsilon of 0.3 units whatever it was trained
         with.
       episodes: per maze.
@@ -72,6 +76,7 @@ class AblationConfig:
     seeds: limits.Seeds = (0, 1, 2)
     num_updates: int | None = None
     robot: str = "ant"
+    mazes: tuple[str, ...] = ()
     movement: limits.Several[base.MovementName] = base.MOVEMENTS
     episodes: limits.UpToMillion = 500
     out: pathlib.Path = pathlib.Path("runs/ablation-high")
@@ -92,7 +97,7 @@ def main(config: AblationConfig) -> None:
 
     # Seed by seed and variant by variant, so that an early stop leaves something to compare.
     runs.train(chosen, high.train)
-    for variant in (*chosen, paper.RAND_H):
+    for variant in (*chosen, _reference(config.preset)):
         cached_runs.evaluated(_evaluation(config, runs, variant))
 
     table = compare(config)
@@ -116,7 +121,8 @@ def compare(config: AblationConfig) -> str:
 
     # Also variants of earlier calls: the folder is the comparison.
     evaluations = {
-        variant: _evaluation(config, runs, variant) for variant in (*runs.variants, paper.RAND_H)
+        variant: _evaluation(config, runs, variant)
+        for variant in (*runs.variants, _reference(config.preset))
     }
     evaluated = {
         variant: cached_runs.evaluated(options)
@@ -125,6 +131,16 @@ def compare(config: AblationConfig) -> str:
     }
     title = f"Preset {config.preset}, one thing changed at a time"
     return comparison.of_variants(title, evaluated).markdown() + "\n"
+
+
+def _searches(preset: str) -> bool:
+    """Returns whether a preset's network searches a map."""
+    return presets.HIGH[preset].network.kind == "search"
+
+
+def _reference(preset: str) -> str:
+    """Returns what a preset is compared with that learns nothing."""
+    return evaluate_config.FRONTIER if _searches(preset) else paper.RAND_H
 
 
 def _runs(config: AblationConfig) -> ablation.Ablation[high_config.HighConfig]:
@@ -141,11 +157,15 @@ def _evaluation(
     config: AblationConfig, runs: ablation.Ablation[high_config.HighConfig], variant: str
 ) -> evaluate_config.EvaluateConfig:
     """Returns the options with which what was trained alike is evaluated."""
-    highs = (evaluate_config.UNIFORM,)
-    if variant != paper.RAND_H:
+    unlearned = {paper.RAND_H: evaluate_config.UNIFORM, evaluate_config.FRONTIER: variant}
+    if variant in unlearned:
+        highs = (unlearned[variant],)
+    else:
         highs = tuple(str(options.run) for options in runs.runs(variant))
+
+    ours = (suites.DEVELOPMENT,) if _searches(config.preset) else tuple(tables.TABLE1_MAZES)
     return evaluate_config.EvaluateConfig(
-        mazes=tuple(tables.TABLE1_MAZES),
+        mazes=config.mazes or ours,
         robot=(config.robot,),
         movement=config.movement,
         high=highs,

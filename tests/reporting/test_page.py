@@ -57,6 +57,24 @@ def test_robots_are_compared_and_mazes_taken_together():
     assert comparison.mean([]) == "-"
 
 
+def test_searches_are_compared_by_their_decisions_maze_by_maze():
+    def searched(maze, decisions, high):
+        made = cell(maze, (1, 1), high=high)
+        return dataclasses.replace(made, decisions_mean=decisions)
+
+    evaluated = {
+        "ours": [searched("m-0", 10.0, "0"), searched("m-1", 20.0, "0"), searched("n", 9.0, "0")],
+        "frontier": [searched("m-0", 20.0, "frontier"), searched("m-1", 20.0, "frontier")],
+    }
+    table = comparison.of_variants("t", evaluated)
+    assert table.header == ["success %, decisions / reference", "m", "n"]
+    # The mean of 10 / 20 and 20 / 20, not 30 / 40.
+    assert table.rows == [
+        ["ours, oracle", "100.0, 0.750", "100.0, -"],
+        ["frontier, oracle", "100.0, 1.000", "-, -"],
+    ]
+
+
 def test_failures_add_up_to_all_episodes():
     table = comparison.failures("t", [comparison.Row("oracle", CELLS[:3])])
     assert table.header == ["% of episodes", "maze", "solved", "fallen", "unstable", "late"]

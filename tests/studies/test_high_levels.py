@@ -246,6 +246,7 @@ def test_variants_of_a_preset_are_trained_and_compared(work, tmp_path, monkeypat
         variants=("preset", "corners too", "entropy 0.02"),
         seeds=(0, 1),
         robot="point",
+        mazes=("u", "jaxued-labyrinth", "jaxued-labyrinth-2"),
         movement=("oracle",),
         episodes=2,
         out=tmp_path,
@@ -257,9 +258,11 @@ def test_variants_of_a_preset_are_trained_and_compared(work, tmp_path, monkeypat
         "preset, oracle",
         "corners too, oracle",
         "entropy 0.02, oracle",
-        "RAND-H, oracle",
+        "frontier, oracle",
     ]
-    assert lines[4].count("±") == 4 and lines[7].count("±") == 0
+    assert lines[2] == "| success %, decisions / reference | u | jaxued-labyrinth |"
+    assert lines[4].count("±") == 2 and lines[7].count("±") == 0
+    assert lines[7].count(", 1.000 |") == 2
     assert (tmp_path / "curves.png").stat().st_size > 10_000
     trained = (tmp_path / "entropy-0.02" / "seed-1" / "config.json").read_text()
     assert '"entropy": 0.02,' in trained

@@ -11,6 +11,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from eihrl_jax.mazes import layouts, perfect, readers
+from eihrl_jax.mazes.suites import development
 
 NUM_PERFECT = 10
 """Perfect mazes of each size; their seeds are 0 and up."""
@@ -18,7 +19,10 @@ NUM_PERFECT = 10
 _SIDES = {"perfect-19": 19, "perfect-51": 51, "perfect-101": 101}
 """Cells a side of the perfect mazes, without the outer wall."""
 
-NAMES = ("paper", "jaxued", "ogbench", "jaxgcrl", "gymnasium-robotics", *_SIDES)
+DEVELOPMENT = "development"
+"""Generated mazes in which options are compared, see `development`."""
+
+NAMES = ("paper", "jaxued", "ogbench", "jaxgcrl", "gymnasium-robotics", *_SIDES, DEVELOPMENT)
 """Names of the suites."""
 
 _MINIMAX = "minimax's Maze-PerfectMaze, https://github.com/facebookresearch/minimax"
@@ -54,6 +58,8 @@ def mazes(suite: str) -> Mapping[str, Named]:
         return _of_paper()
     if suite in _SIDES:
         return _perfect(suite, _SIDES[suite])
+    if suite == DEVELOPMENT:
+        return _of_development()
 
     table = tomllib.loads((pathlib.Path(__file__).parent / f"{suite}.toml").read_text("utf-8"))
     named: dict[str, Named] = {}
@@ -112,6 +118,16 @@ def _perfect(suite: str, side: int) -> dict[str, Named]:
             num_decisions=_by_size(text),
         )
         for seed, text in enumerate(texts)
+    }
+
+
+def _of_development() -> dict[str, Named]:
+    """Returns the mazes in which options are compared; rooms have several starts and doors."""
+    return {
+        f"{DEVELOPMENT}-{name}": Named(
+            text=text, origin="generated", licence="ours, MIT", num_decisions=_by_size(text)
+        )
+        for name, text in development.texts()
     }
 
 
