@@ -20,7 +20,12 @@ DOCUMENTS = sorted(
 )
 
 
-TRAINING = ("eihrl_jax.reporting.evaluations", "eihrl_jax.training.high", "eihrl_jax.training.low")
+TRAINING = (
+    "eihrl_jax.reporting.evaluations",
+    "eihrl_jax.reporting.trainers",
+    "eihrl_jax.training.high",
+    "eihrl_jax.training.low",
+)
 """Examples that train or evaluate compile for half a minute what other tests compile otherwise."""
 
 

@@ -1,7 +1,7 @@
 """The two-level baselines find their way on open floor, where what it costs is known.
 
-HIGL trains the levels of HRAC and HIRO and holds them by more, so that those are slow tests; so is
-HESS's, whose levels learn each on its own in `test_probes` and `test_hess_parts`.
+Slow tests, as each compiles for half a minute or more. By default the levels learn each on its own
+in `test_probes`, and what joins them is looked at in the tests of their parts.
 """
 
 import dataclasses
@@ -57,10 +57,8 @@ EXPLORING = {
 }
 
 
-SLOW = [pytest.param(method, marks=pytest.mark.slow) for method in ("hrac", "hiro", "hess")]
-
-
-@pytest.mark.parametrize("method", ["higl", *SLOW])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["higl", "hrac", "hiro", "hess"])
 @pytest.mark.usefixtures("optimised")
 def test_both_levels_together_learn_to_walk_straight_to_any_goal(method):
     arena = make_arena(method)
