@@ -17,6 +17,7 @@ from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
@@ -78,6 +79,8 @@ class GoalMaze:
         self._engine = engine
         self._reward: base.Reward = reward
         # The task counts each of our steps as a decision.
+        most = (2**31 - 1) // self.robot.steps_per_subgoal
+        checks.in_range("num_decisions", int(np.max(mazes.num_decisions)), 1, most)
         limit = mazes.num_decisions * self.robot.steps_per_subgoal
         self.table = task.prepare(mazes.replace(num_decisions=limit))
         self._jitter = float(self.table.mazes.start_jitter.max())
@@ -88,10 +91,15 @@ class GoalMaze:
         num_rows, num_columns = self.table.mazes.wall.shape[-2:]
         return round(num_columns * base.CELL), round(num_rows * base.CELL)
 
-    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
-        """Draws a new episode, in a given maze or in any; the key is consumed."""
+    def reset(
+        self,
+        key: Key[Array, ""],
+        maze: Int[Array, ""] | None = None,
+        place: task.Place | None = None,
+    ) -> EnvState:
+        """Draws a new episode, in a given maze and place or in any; the key is consumed."""
         next_key, start_key, pose_key = jax.random.split(key, 3)
-        nav, xy = task.start(self.table, start_key, maze)
+        nav, xy = task.start(self.table, start_key, maze, place)
 
         no = jnp.zeros((), bool)
         inner = GoalMazeState(

@@ -59,10 +59,13 @@ class Hierarchy:
         return self.env.table
 
     def reset(
-        self, key: Key[Array, ""], maze: Int[Array, ""] | None = None
+        self,
+        key: Key[Array, ""],
+        maze: Int[Array, ""] | None = None,
+        place: task.Place | None = None,
     ) -> physics_maze.EnvState:
-        """Draws a new episode, in a given maze or in any; the key is consumed."""
-        return self.env.reset(key, maze)
+        """Draws a new episode, in a given maze and place or in any; the key is consumed."""
+        return self.env.reset(key, maze, place)
 
     def step(self, state: physics_maze.EnvState, action: Int[Array, ""]) -> physics_maze.EnvState:
         """Follows the direction `action` for one subgoal."""

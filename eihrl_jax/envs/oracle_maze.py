@@ -182,10 +182,15 @@ class OracleMaze:
         silhouettes = postures.footprints(robot, gait.bank, view)
         return cls(mazes, silhouettes, view=view, movement=movement, reward=reward)
 
-    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
-        """Draws a new episode, in a given maze or in any; the key is consumed."""
+    def reset(
+        self,
+        key: Key[Array, ""],
+        maze: Int[Array, ""] | None = None,
+        place: task.Place | None = None,
+    ) -> EnvState:
+        """Draws a new episode, in a given maze and place or in any; the key is consumed."""
         next_key, start_key, posture_key = jax.random.split(key, 3)
-        nav, xy = task.start(self.table, start_key, maze)
+        nav, xy = task.start(self.table, start_key, maze, place)
 
         inner = OracleMazeState(
             nav=nav,

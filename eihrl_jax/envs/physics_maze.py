@@ -145,10 +145,15 @@ class PhysicsMaze:
         engine_of_robot = engines.make(robot, engine)
         return cls(engine_of_robot, mazes, view=view, anchored=anchored, reward=reward)
 
-    def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:
-        """Draws a new episode, in a given maze or in any; the key is consumed."""
+    def reset(
+        self,
+        key: Key[Array, ""],
+        maze: Int[Array, ""] | None = None,
+        place: task.Place | None = None,
+    ) -> EnvState:
+        """Draws a new episode, in a given maze and place or in any; the key is consumed."""
         next_key, start_key, pose_key = jax.random.split(key, 3)
-        nav, xy = task.start(self.table, start_key, maze)
+        nav, xy = task.start(self.table, start_key, maze, place)
 
         no = jnp.zeros((), bool)
         body = Body(

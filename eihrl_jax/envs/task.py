@@ -81,6 +81,19 @@ class Navigation(struct.PyTreeNode):
     seen: Bool[Array, "H W"] | None = None
 
 
+class Place(struct.PyTreeNode):
+    """Where an episode is to start, and which goal it is to have, instead of drawn ones.
+
+    Attributes:
+      start_ij: int32 [2], row and column of the start cell.
+      goal_ij: int32 [2], row and column of the cell that is goal 1; `NO_DOOR` where the maze's own
+        goals stay.
+    """
+
+    start_ij: Int[Array, "2"]
+    goal_ij: Int[Array, "2"]
+
+
 def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
     """Prepares one maze, or several with a leading axis, for the task; host side.
 
@@ -115,7 +128,10 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
 
 
 def start(
-    table: MazeTable, key: Key[Array, ""], maze: Int[Array, ""] | None = None
+    table: MazeTable,
+    key: Key[Array, ""],
+    maze: Int[Array, ""] | None = None,
+    place: Place | None = None,
 ) -> tuple[Navigation, Float[Array, "2"]]:
     """Draws maze, door and start of an episode, each uniformly; no start is a goal.
 
@@ -123,6 +139,7 @@ def start(
       table: the mazes.
       key: consumed.
       maze: which maze it is to be; None: any.
+      place: where it starts and what its goal is; None: drawn.
 
     Returns:
       The episode at its beginning, and the robot's position in units.
@@ -140,10 +157,12 @@ def start(
     cell = jnp.where(is_start & (cell >= door), cell + 1, cell)
     offset = (2.0 * draws[3:] - 1.0) * _of(table.mazes.start_jitter, maze)
 
-    start_ij = _of(table.start_ij, maze)[cell]
+    start_ij, door_ij = _of(table.start_ij, maze)[cell], _of(table.door_ij, maze)[door]
+    if place is not None:
+        start_ij, door_ij = place.start_ij, place.goal_ij
     nav = Navigation(
         maze=maze,
-        door_ij=_of(table.door_ij, maze)[door],
+        door_ij=door_ij,
         visited=jnp.zeros(maze_lib.MAX_GOALS, bool),
         decisions=jnp.int32(0),
         start_ij=start_ij,

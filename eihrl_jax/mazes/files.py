@@ -17,6 +17,7 @@ def load(
     *,
     num_decisions: int | None = None,
     options: reading.ReadingConfig | None = None,
+    on_host: bool = False,
 ) -> Maze:
     """Loads a maze by its name, the paper's or one of a suite, or from a file of any known kind.
 
@@ -26,6 +27,7 @@ def load(
       num_decisions: time limit in subgoals; None: that of the suite, file or kind of file if it has
         one, else see `parsing.default_limit`.
       options: what a file leaves open.
+      on_host: leave its arrays to NumPy, which starts no device of JAX.
 
     Raises:
       base.UserError: unknown name, a suite's, unreadable file, or a file that is no maze; a start
@@ -37,7 +39,8 @@ def load(
     name = str(name_or_path)
     named = suites.find(name)
     if named is None:
-        return of_plan(read(name, options), name, num_decisions=num_decisions)
+        plan = read(name, options)
+        return of_plan(plan, name, num_decisions=num_decisions, on_host=on_host)
     if options is not None and (options.start is not None or options.goal is not None):
         raise base.UserError(f"maze {name!r}: a maze by name has a start and goal of its own")
     return parsing.parse(
@@ -45,6 +48,7 @@ def load(
         name=name,
         num_decisions=named.num_decisions if num_decisions is None else num_decisions,
         start_jitter=named.start_jitter,
+        on_host=on_host,
     )
 
 
@@ -94,19 +98,24 @@ def read(path: str | pathlib.Path, options: reading.ReadingConfig | None = None)
     return readers.read(pathlib.Path(path), options or reading.ReadingConfig(), maze)
 
 
-def of_plan(plan: readers.Plan, name: str, *, num_decisions: int | None = None) -> Maze:
+def of_plan(
+    plan: readers.Plan, name: str, *, num_decisions: int | None = None, on_host: bool = False
+) -> Maze:
     """Makes a maze of what `read` returned.
 
     Args:
       plan: the maze as its file has it.
       name: how messages call the maze.
       num_decisions: time limit in subgoals; None: see `load`.
+      on_host: see `load`.
 
     Raises:
       base.UserError: it is no maze.
     """
     limit = plan.num_decisions if num_decisions is None else num_decisions
-    return parsing.parse(plan.text, name=name, num_decisions=limit, first=plan.first)
+    return parsing.parse(
+        plan.text, name=name, num_decisions=limit, first=plan.first, on_host=on_host
+    )
 
 
 def save(path: str | pathlib.Path, maze: Maze) -> None:

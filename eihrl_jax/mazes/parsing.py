@@ -10,7 +10,6 @@ walls, goal regions and doors. Above it may stand `decisions 450`, the time limi
 import re
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from eihrl_jax import base
@@ -42,6 +41,7 @@ def parse(
     num_decisions: int | None = None,
     start_jitter: float | None = None,
     first: paths.Cell = (0, 0),
+    on_host: bool = False,
 ) -> Maze:
     """Reads a maze from its text.
 
@@ -54,6 +54,7 @@ def parse(
       start_jitter: half-width of the uniform offset from the start's centre, in [0, 1.5) units;
         None: the text's own, else 0.5.
       first: row and column of the text that messages call row 1, column 1.
+      on_host: leave the maze's arrays to NumPy, which starts no device of JAX.
 
     Raises:
       base.UserError: the text is not a maze in which every start leads to every goal and door.
@@ -81,18 +82,20 @@ def parse(
         "num_goals": np.int32(max(goal.max(), int(is_door.any()))),
         "num_decisions": np.int32(num_decisions or 0),  # 0 until the tour is known, below
     }
+    maze = Maze(**fields)
+    if num_decisions is None:
+        maze = maze.replace(num_decisions=default_limit(maze))
     # `jnp.asarray` of each would compile a program for every shape of a maze.
-    maze = Maze(**jax.device_put(fields))
-    return maze if num_decisions is not None else maze.replace(num_decisions=default_limit(maze))
+    return maze if on_host else jax.device_put(maze)
 
 
-def default_limit(maze: Maze) -> jax.Array:
+def default_limit(maze: Maze) -> np.int32:
     """Returns the time limit of a maze that brings none, int32 and in subgoals.
 
     Four times the moves of a shortest tour of the goals in their order from the worst start and to
     the worst candidate, at least 24.
     """
-    return jnp.int32(max(MIN_DECISIONS, 4 * paths.longest_tour(maze)))
+    return np.int32(max(MIN_DECISIONS, 4 * paths.longest_tour(maze)))
 
 
 def text_of(maze: Maze) -> str:

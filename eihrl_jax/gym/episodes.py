@@ -1,0 +1,362 @@
+"""Episodes side by side, as Gymnasium's environments run them: compiled once, new ones by the mode.
+
+Every row draws from a key of its own, that of the seed it was given, and goes on with it from
+episode to episode. So a row's episodes are those of the bare environment with that key, and the
+same alone, in a batch, and in every mode.
+"""
+
+import functools
+import os
+import threading
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from gymnasium import spaces, vector
+from jaxtyping import Array, Bool, Float, Int, Key, PyTree, UInt32
+
+from eihrl_jax import base
+from eihrl_jax.envs import task as task_lib
+from eihrl_jax.envs import wrappers
+from eihrl_jax.gym import places
+from eihrl_jax.ops import tree
+
+Mode = vector.AutoresetMode
+
+Info: TypeAlias = dict[str, Any]
+"""What is told beside the observation; Gymnasium lets it be anything."""
+
+Shown: TypeAlias = PyTree[np.ndarray]
+"""Observations as Gymnasium has them: arrays, or a dict of them."""
+
+EnvState: TypeAlias = base.EnvState[Any, Any]
+"""The state of any of our environments."""
+
+
+_is_stuck = threading.Event()  # set in a process in which JAX would hang
+
+
+@runtime_checkable
+class PlacedEnvironment(Protocol):
+    """One of our environments of mazes, whose episodes begin where they are told to."""
+
+    def reset(
+        self,
+        key: Key[Array, ""],
+        maze: Int[Array, ""] | None = None,
+        place: task_lib.Place | None = None,
+    ) -> EnvState:
+        """Draws a new episode, in a given maze and place or in any; the key is consumed."""
+        ...
+
+    def step(self, state: EnvState, action: Array) -> EnvState:
+        """Advances one step."""
+        ...
+
+
+@runtime_checkable
+class Task(Protocol):
+    """What a robot sees, does and is paid for; JAX isn't started before `environment` is called.
+
+    Tasks are hashable, and equal where their programs are the same.
+
+    Attributes:
+      maze: where it is.
+    """
+
+    @property
+    def maze(self) -> places.HostMaze:
+        """Where it is."""
+        ...
+
+    def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
+        """Returns the spaces of what one robot observes and does."""
+        ...
+
+    def environment(self) -> PlacedEnvironment:
+        """Builds the environment."""
+        ...
+
+    def see(self, obs: Any) -> PyTree[Array]:
+        """Returns an observation of the environment as Gymnasium has it."""
+        ...
+
+    def reward(self, final: Shown, reward: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+        """Returns what is paid, given what was last seen and what the environment pays."""
+        ...
+
+
+class Ends(struct.PyTreeNode):
+    """What a step led to, in each of N rows.
+
+    Attributes:
+      obs: what is seen now.
+      final: what the action led to, also where a new episode has begun since.
+      reward: see `base.Outcome`, like the next two.
+      terminated: the episode ended for good.
+      truncated: the episode was cut by its time limit.
+      metrics: of the episode that was stepped.
+      is_stepped: whether an action was followed, and no episode begun or left at rest instead.
+    """
+
+    obs: PyTree[Array]
+    final: PyTree[Array]
+    reward: Float[Array, " N"]
+    terminated: Bool[Array, " N"]
+    truncated: Bool[Array, " N"]
+    metrics: dict[str, Float[Array, " N"]]
+    is_stepped: Bool[Array, " N"]
+
+
+class Step(NamedTuple):
+    """An `Ends` as NumPy arrays, which may be written to.
+
+    Attributes:
+      obs: what is seen now.
+      final: what the action led to.
+      reward: float32 [N].
+      terminated: bool [N].
+      truncated: bool [N].
+      info: of the episodes that were stepped.
+    """
+
+    obs: Shown
+    final: Shown
+    reward: Float[np.ndarray, " N"]
+    terminated: Bool[np.ndarray, " N"]
+    truncated: Bool[np.ndarray, " N"]
+    info: Info
+
+
+class Rows:
+    """N episodes and their programs; a copy of it goes on as the original would."""
+
+    def __init__(self, task: Task, num: int, mode: Mode = Mode.DISABLED):
+        """Compiles nothing yet.
+
+        Args:
+          task: of every row.
+          num: number of rows, N.
+          mode: what follows the end of an episode.
+        """
+        self.task = task
+        self.num = num
+        self.mode = mode
+        self._state: EnvState | None = None
+
+    def reset(
+        self,
+        seeds: Sequence[int] | None,
+        options: places.Options,
+        generator: np.random.Generator,
+    ) -> tuple[Shown, Info]:
+        """Begins new episodes, in all rows or in those of a mask; returns what all rows see.
+
+        Args:
+          seeds: of the rows' keys; None: they go on with theirs, or are given some at first.
+          options: see `places.choose`, and `reset_mask`, bool [N].
+          generator: draws seeds, and places that are named in part.
+
+        Raises:
+          base.UserError: an option isn't as it should be, or nothing has begun that could be kept.
+        """
+        mask = self._mask(options)
+        chosen = places.choose(self.task.maze, options, self.num, generator)
+
+        programs = _programs(self.task, self.mode)
+        if seeds is None and self._state is None:
+            seeds = generator.integers(2**32, size=self.num).tolist()
+        if seeds is not None:
+            # JAX takes 32 bits of a seed.
+            keys = programs.keys(np.array([seed % 2**32 for seed in seeds], np.uint32))
+        else:
+            keys = cast(EnvState, self._state).key
+        state: EnvState = programs.reset(keys, chosen)
+
+        # The other rows stay as they are, an end among them too.
+        self._state = state if mask is None else programs.choose(mask, state, self._state)
+        return _arrays(programs.see(self._state.obs)), _info(_arrays(self._state.metrics))
+
+    def step(self, action: Any) -> Step:
+        """Advances every row one step.
+
+        Raises:
+          base.UserError: nothing has begun, or the actions are none.
+        """
+        if self._state is None:
+            raise base.UserError("step was called before reset")
+        action = self._action(action)
+
+        self._state, ends = _programs(self.task, self.mode).step(self._state, action)
+        ends = _arrays(ends)
+        reward = self.task.reward(ends.final, ends.reward)
+        return Step(
+            obs=ends.obs,
+            final=ends.final,
+            reward=np.where(ends.is_stepped, reward, np.float32(0.0)),
+            terminated=ends.terminated,
+            truncated=ends.truncated,
+            info=_info(ends.metrics),
+        )
+
+    def _action(self, action: Any) -> np.ndarray:
+        """Returns actions as an array, [N, …]."""
+        _, space = self.task.spaces()
+        shape = (self.num, *cast(tuple[int, ...], space.shape))
+        try:
+            array = np.asarray(action)
+            is_number = np.can_cast(array.dtype, np.float64, "same_kind")
+        except (TypeError, ValueError):
+            raise base.UserError(f"action {action!r} is no array of numbers") from None
+        if not is_number:
+            raise base.UserError(f"action of type {array.dtype} must be numbers")
+        if array.shape != shape:
+            shown, wanted = (array.shape[1:], shape[1:]) if self.num == 1 else (array.shape, shape)
+            raise base.UserError(f"action of shape {shown} must have shape {wanted}")
+        return array.astype(cast(np.dtype, space.dtype))
+
+    def _mask(self, options: places.Options) -> np.ndarray | None:
+        """Returns which rows a reset is for, None for all."""
+        mask = options.get(places.MASK)
+        if mask is None:
+            return None
+        if not isinstance(mask, np.ndarray) or mask.dtype != bool or mask.shape != (self.num,):
+            raise base.UserError(f"{places.MASK} = {mask!r} must be a bool array of {self.num}")
+        if self._state is None:
+            raise base.UserError(f"{places.MASK}: the other rows have begun no episode yet")
+        return mask
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns what a copy needs: programs are made anew, keys are saved as numbers."""
+        state = self._state
+        if state is not None:
+            state = state.replace(key=jax.random.key_data(state.key))
+        return {**self.__dict__, "_state": jax.device_get(state)}
+
+    def __setstate__(self, saved: dict[str, Any]) -> None:
+        """Takes over what `__getstate__` returned."""
+        self.__dict__.update(saved)
+        if self._state is not None:
+            _check_fork()
+            key = jax.random.wrap_key_data(jnp.asarray(self._state.key))
+            self._state = self._state.replace(key=key)
+
+
+class _Programs(NamedTuple):
+    """The compiled functions of N rows, for any N."""
+
+    keys: jax.stages.Wrapped
+    reset: jax.stages.Wrapped
+    choose: jax.stages.Wrapped
+    see: jax.stages.Wrapped
+    step: jax.stages.Wrapped
+
+
+class _OwnMaze(NamedTuple):
+    """An environment whose episodes, where no place is named, are in the maze as it is."""
+
+    env: PlacedEnvironment
+
+    def reset(self, key: Key[Array, ""]) -> EnvState:
+        """Draws a new episode; the key is consumed."""
+        return self.env.reset(key, jnp.int32(0))
+
+    def step(self, state: EnvState, action: Array) -> EnvState:
+        """Advances one step."""
+        return self.env.step(state, action)
+
+
+@functools.lru_cache(maxsize=16)
+def _programs(task: Task, mode: Mode) -> _Programs:
+    """Returns the programs of a task: environments that are alike share what is compiled."""
+    _check_fork()
+    env = _OwnMaze(task.environment())
+
+    def keys(seeds: UInt32[Array, " N"]) -> Key[Array, " N"]:
+        return jax.vmap(jax.random.key)(seeds)
+
+    def reset(keys: Key[Array, " N"], chosen: places.Places | None) -> EnvState:
+        if chosen is None:
+            return jax.vmap(env.reset)(keys)
+        return jax.vmap(env.env.reset)(keys, chosen.maze, chosen.place)
+
+    def step(state: EnvState, action: Array) -> tuple[EnvState, Ends]:
+        following = jax.vmap(functools.partial(_STEPS[mode], env))(state, action)
+        # Right after an auto-reset in the same step the flags are still those of the old episode.
+        is_stepped = jnp.ones_like(state.is_over) if mode == Mode.SAME_STEP else ~state.is_over
+        return following, Ends(
+            obs=jax.vmap(task.see)(following.obs),
+            final=jax.vmap(task.see)(following.final_obs),
+            reward=following.reward,
+            terminated=following.terminated,
+            truncated=following.truncated,
+            metrics=following.metrics,
+            is_stepped=is_stepped,
+        )
+
+    return _Programs(
+        keys=jax.jit(keys),
+        reset=jax.jit(reset),
+        choose=jax.jit(jax.vmap(tree.where)),
+        see=jax.jit(jax.vmap(task.see)),
+        step=jax.jit(step),
+    )
+
+
+def _same_step(env: _OwnMaze, state: EnvState, action: Array) -> EnvState:
+    """Advances one step, and into the next episode where that ends one."""
+    return wrappers.AutoReset(env).step(state, action)
+
+
+def _next_step(env: _OwnMaze, state: EnvState, action: Array) -> EnvState:
+    """Advances one step, which begins the next episode where the last one ended one."""
+    return tree.where(state.is_over, env.reset(state.key), env.step(state, action))
+
+
+def _no_reset(env: _OwnMaze, state: EnvState, action: Array) -> EnvState:
+    """Advances one step; an episode that is over rests."""
+    return wrappers.rest_if_over(state, env.step(state, action))
+
+
+_STEPS = {Mode.SAME_STEP: _same_step, Mode.NEXT_STEP: _next_step, Mode.DISABLED: _no_reset}
+
+
+def _info(metrics: dict[str, Float[np.ndarray, " N"]]) -> Info:
+    """Returns the metrics, and success as other projects call it."""
+    return {**metrics, "is_success": metrics["success"] == 1.0}
+
+
+def _arrays(values: Any) -> Any:
+    """Copies a pytree to NumPy, whose arrays the caller may then write to."""
+    return jax.tree.map(np.array, values)
+
+
+def watch_forks() -> None:
+    """Makes processes that are forked from now on know whether JAX was running then."""
+    if hasattr(os, "register_at_fork"):  # not on Windows, which forks nothing
+        os.register_at_fork(after_in_child=_note_fork)
+
+
+def _note_fork() -> None:
+    """Notes in a forked process whether JAX was running."""
+    # JAX has no public name for it.
+    from jax._src import xla_bridge
+
+    if xla_bridge.backends_are_initialized():
+        _is_stuck.set()
+
+
+def _check_fork() -> None:
+    """Checks that JAX wouldn't hang, as in a forked process that lacks its threads.
+
+    Raises:
+      base.UserError: it would.
+    """
+    if _is_stuck.is_set():
+        raise base.UserError(
+            "this process was forked from one in which JAX was running, and would hang: make it "
+            "with context='spawn' or 'forkserver', or before JAX is used"
+        )
