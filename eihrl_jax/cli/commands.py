@@ -88,7 +88,7 @@ def evaluate() -> Command:
         evaluation = evaluations.evaluate(options)
         tables.show(tables.terminal(evaluation.cells))
         rich.console.Console().print(tables.NOTE, style="dim")
-        files = sorted(path.name for path in options.out.glob("*.gif"))
+        files = sorted(path.name for path in options.out.glob(f"*.{options.format}"))
         files += ["heatmaps"] if any(options.out.glob("*.png")) else []
         print(f"written to {options.out}: {', '.join(['tables.md', 'episodes.csv', *files])}")
 

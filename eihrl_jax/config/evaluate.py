@@ -10,6 +10,12 @@ from eihrl_jax.config import reading as reading_config
 Animate = Literal["one", "all", "failed", "none"]
 """Which evaluations are animated, see `EvaluateConfig`."""
 
+Camera = Literal["auto", "whole", "follow"]
+"""What an animation shows, see `EvaluateConfig`."""
+
+FilmFormat = Literal["gif", "mp4"]
+"""Of an animation."""
+
 UNIFORM = "uniform"
 """What the high level is called that chooses directions uniformly (the paper's RAND-H)."""
 
@@ -60,6 +66,9 @@ class EvaluateConfig:
       engine: physics engine of full movement.
       reading: what the mazes' files leave open, such as start and goal.
       animate: an animation of one maze, of all, of an episode that failed in each, or of none.
+      format: of the animations; mp4 needs the package imageio-ffmpeg.
+      camera: sees the whole maze, or follows the robot with a small plan beside it; auto: follows
+        where the robot would be small.
       quick: a first look: 20 episodes, full movement alone and no heatmaps, where nothing else is
         asked for.
       heatmaps: draw where the robot was, one picture per maze and agent, and where those episodes
@@ -89,6 +98,8 @@ class EvaluateConfig:
     engine: base.EngineName = "mujoco"
     reading: reading_config.ReadingConfig = reading_config.ReadingConfig()
     animate: Animate = "one"
+    format: FilmFormat = "gif"
+    camera: Camera = "auto"
     heatmaps: bool = True
     quick: bool = False
 

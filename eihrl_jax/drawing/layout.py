@@ -21,6 +21,27 @@ def extent(maze: maze_lib.Maze) -> tuple[float, float, float, float]:
     return 0.0, columns * base.CELL, -rows * base.CELL, 0.0
 
 
+def wall_rectangles(wall: Bool[np.ndarray, "R C"]) -> Int[np.ndarray, "B 4"]:
+    """Covers the wall cells with few rectangles.
+
+    Returns:
+      First row, first column, last row + 1 and last column + 1 of each; they don't overlap.
+    """
+    left = wall.copy()
+    rectangles = []
+    for i, j in np.argwhere(wall):
+        if not left[i, j]:
+            continue
+
+        # From its first cell as far right as there is wall, then as far down as all of that is.
+        width = int(np.argmin(np.append(left[i, j:], False)))
+        height = int(np.argmin(np.append(left[i:, j : j + width].all(1), False)))
+        left[i : i + height, j : j + width] = False
+        rectangles.append((i, j, i + height, j + width))
+
+    return np.array(rectangles, int).reshape(-1, 4)
+
+
 def draw(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, title: str = "") -> None:
     """Draws the plan of a maze: tiles of one cell, walls, numbered goals, door candidates, starts.
 
@@ -63,7 +84,7 @@ def add_marks(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, start_colour: 
     """
     # One rectangle for many cells: neighbours drawn apart would show seams.
     door = np.asarray(maze.door)
-    for cells in picture.wall_rectangles(np.asarray(maze.wall) & ~door):
+    for cells in wall_rectangles(np.asarray(maze.wall) & ~door):
         _add_rectangle(axes, cells, facecolor=palette.WALL, edgecolor=palette.WALL)
     for i, j in np.argwhere(door):
         cell = np.array([i, j, i + 1, j + 1])
@@ -71,7 +92,7 @@ def add_marks(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, start_colour: 
 
     goal = np.asarray(maze.goal)
     for number in range(1, int(goal.max()) + 1):
-        for cells in picture.wall_rectangles(goal == number):
+        for cells in wall_rectangles(goal == number):
             _add_rectangle(axes, cells, facecolor="none", edgecolor=palette.GOAL, linewidth=2)
 
     # A room where every cell is a start would be full of circles.

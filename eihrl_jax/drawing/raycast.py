@@ -1,8 +1,8 @@
-"""A small ray caster for mazes and robots: boxes, capsules, a floor, one light. Needs no OpenGL.
+"""A small ray caster for robots: capsules, a floor, one light. Needs no OpenGL.
 
-World coordinates are units with z up and the floor at z = 0. A picture has row 0 at the top. A
-vector field over the pixels is a tuple of its three components, which XLA handles several times
-faster on CPU than an array whose last axis has length three.
+World coordinates are units with z up and the floor at z = 0. A vector field over the pixels is a
+tuple of its three components, which XLA handles several times faster on CPU than an array whose
+last axis has length three.
 """
 
 import jax
@@ -22,29 +22,13 @@ Vector = tuple[Array, Array, Array]
 """Components x, y, z, each a scalar or of the shape of the picture [H, W]."""
 
 
-class Camera(struct.PyTreeNode):
-    """A pinhole camera.
-
-    Attributes:
-      position: where it is, units.
-      axes: unit vectors to the right, down and forward in the picture, as rows.
-      focal: pixels per unit of image plane at distance 1.
-      centre: pixel column and row of the optical axis.
-    """
-
-    position: Float[Array, "3"]
-    axes: Float[Array, "3 3"]
-    focal: Float[Array, ""]
-    centre: Float[Array, "2"]
-
-
 class Hit(struct.PyTreeNode):
     """What the rays of H x W pixels meet first.
 
     Attributes:
       distance: [H, W], along the ray, units; `FAR` for nothing.
       normal: three times [H, W], unit surface normal.
-      index: int32 [H, W], index of the box or capsule; -1 for nothing.
+      index: int32 [H, W], index of the capsule; -1 for nothing.
     """
 
     distance: Float[Array, "H W"]
@@ -74,81 +58,6 @@ def unit(a: Vector) -> Vector:
     return a[0] * scale, a[1] * scale, a[2] * scale
 
 
-def look_at(
-    position: Float[Array, "3"],
-    target: Float[Array, "3"],
-    focal: Float[Array, ""] | float,
-    centre: Float[Array, "2"],
-) -> Camera:
-    """Returns a camera at `position` whose optical axis goes through `target`, upright."""
-    # Image axes are x right, y down, z forward, so that depth is the third coordinate.
-    forward = (target - position) / jnp.linalg.norm(target - position)
-    right = jnp.cross(forward, jnp.array([0.0, 0.0, 1.0]))
-    right = right / jnp.linalg.norm(right)
-    axes = jnp.stack([right, jnp.cross(forward, right), forward])
-    return Camera(
-        position=position, axes=axes, focal=jnp.asarray(focal, jnp.float32), centre=centre
-    )
-
-
-def project(camera: Camera, xyz: Float[Array, "N 3"]) -> Float[Array, "N 2"]:
-    """Returns pixel column and row of points in front of the camera."""
-    x, y, depth = jnp.moveaxis((xyz - camera.position[None]) @ camera.axes.T, -1, 0)
-    return camera.centre[None] + camera.focal * jnp.stack([x, y], -1) / depth[:, None]
-
-
-def pixel_rays(camera: Camera, corner: Int[Array, "2"], *, height: int, width: int) -> Vector:
-    """Returns the unit directions of the pixels of a window whose top left pixel is `corner`.
-
-    Args:
-      camera: the camera.
-      corner: column and row of the window's first pixel.
-      height: rows of the window, H.
-      width: columns of the window, W.
-    """
-    # Through the middle of each pixel.
-    row, column = jnp.mgrid[:height, :width].astype(jnp.float32) + 0.5
-    left, top = camera.centre - corner.astype(jnp.float32)
-    right, down = (column - left) / camera.focal, (row - top) / camera.focal
-    axes = camera.axes
-    x, y, z = (axes[0, i] * right + axes[1, i] * down + axes[2, i] for i in range(3))
-    return unit((x, y, z))
-
-
-def boxes(
-    origin: Vector, direction: Vector, low: Float[Array, "B 3"], high: Float[Array, "B 3"]
-) -> Hit:
-    """Intersects rays with axis-parallel boxes.
-
-    Args:
-      origin: where the rays start, the same for all or each its own.
-      direction: unit directions [H, W].
-      low: lower corners of B boxes.
-      high: upper corners.
-    """
-    # A ray parallel to a face never crosses it, but mustn't divide by zero.
-    inverse = [1.0 / jnp.where(d == 0.0, 1e-9, d) for d in direction]
-
-    def nearer(best: Hit, box: tuple[Array, Array, Array]) -> tuple[Hit, None]:
-        # A box is where three slabs meet: the ray is in it from the last entry to the first exit.
-        box_low, box_high, index = box
-        enter, leave = [], []
-        for i in range(3):
-            one = (box_low[i] - origin[i]) * inverse[i]
-            other = (box_high[i] - origin[i]) * inverse[i]
-            enter.append(jnp.minimum(one, other))
-            leave.append(jnp.maximum(one, other))
-        distance = jnp.maximum(jnp.maximum(enter[0], enter[1]), enter[2])
-        end = jnp.minimum(jnp.minimum(leave[0], leave[1]), leave[2])
-        is_hit = (distance < end) & (distance > 0.0) & (distance < best.distance)
-
-        # The face that was entered last is the one that is seen.
-        x, y, z = (jnp.where(enter[i] == distance, -jnp.sign(direction[i]), 0.0) for i in range(3))
-        return _nearest(best, is_hit, distance, (x, y, z), index), None
-
-    return jax.lax.scan(nearer, _nothing(direction), (low, high, jnp.arange(len(low))))[0]
-
-
 def capsules(
     origin: Vector,
     direction: Vector,
@@ -156,9 +65,14 @@ def capsules(
     end: Float[Array, "G 3"],
     radius: Float[Array, " G"],
 ) -> Hit:
-    """Intersects rays with capsules; see `boxes`.
+    """Intersects rays with capsules: the sides of cylinders between their ends, and two balls each.
 
-    A capsule's surface is the side of its cylinder between the ends, and two balls.
+    Args:
+      origin: where the rays start, the same for all or each its own.
+      direction: unit directions [H, W].
+      start: where the axes of G capsules begin.
+      end: where they end.
+      radius: of each.
     """
 
     def nearer(best: Hit, capsule: tuple[Array, ...]) -> tuple[Hit, None]:

@@ -6,7 +6,7 @@
     <agent>-<maze>-heatmap.png  visited positions (paper, Figure 7)
     <agent>-heatmaps.png        all mazes on one scale
     <agent>-ends.png            where episodes ended that failed, if any did
-    <agent>-<maze>.gif          an episode
+    <agent>-<maze>.gif          an episode, or .mp4
 
 An agent's name consists of its robot, movement and high level, e.g. `ant-full-uniform`.
 """
@@ -22,7 +22,7 @@ import numpy as np
 
 from eihrl_jax.config import changes, codec
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.drawing import animation, heatmap
+from eihrl_jax.drawing import animation, film, heatmap
 from eihrl_jax.drawing import endings as endings_lib
 from eihrl_jax.evaluation import evaluate as evaluation_lib
 from eihrl_jax.evaluation import recording, results, rollouts, tables
@@ -63,6 +63,8 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
         asked = {name for name in first_look if getattr(options, name) != getattr(default, name)}
         changed = {name: value for name, value in first_look.items() if name not in asked}
         options = changes.apply(options, changed)
+    if options.animate != "none":
+        film.check(pathlib.Path(f"film.{options.format}"))  # before hours are spent
     with folders.reserved(options.out):
         # Agent by agent, so that what is done stays if a later one fails.
         cells: list[results.Cell] = []
@@ -92,13 +94,14 @@ def _write(evaluated: evaluation_lib.Evaluated, options: evaluate_config.Evaluat
 
     # "one": the last agent's first maze, a single picture for the whole evaluation.
     names = [name for name, rollout in evaluated.rollouts.items() if rollout.recordings]
-    if options.animate == "failed":
-        for name in names:
-            _animate_failed(options.out, evaluated, name)
-        return
-    num = {"all": len(names), "one": int(evaluated.is_last), "none": 0}[options.animate]
+    num = {"one": int(evaluated.is_last), "none": 0}.get(options.animate, len(names))
     for name in names[:num]:
-        _animate(options.out, evaluated, name, typical(evaluated.rollouts[name]))
+        chosen, ending = typical(evaluated.rollouts[name]), ""
+        if options.animate == "failed":
+            chosen, ending = _failed(evaluated, name)
+        if chosen is not None:
+            file = f"{evaluated.agent.file_name}-{name}{ending}.{options.format}"
+            animate(options.out / file, chosen, evaluated.robot, _label(name), options.camera)
 
 
 def _write_episodes(path: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:
@@ -157,41 +160,39 @@ def _draw_endings(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> Non
         endings_lib.save(out / f"{evaluated.agent.file_name}-ends.png", endings)
 
 
-def _animate_failed(out: pathlib.Path, evaluated: evaluation_lib.Evaluated, maze: str) -> None:
-    """Animates the first episode in one maze that failed, or says that there is none."""
+def _failed(
+    evaluated: evaluation_lib.Evaluated, maze: str
+) -> tuple[recording.Recording | None, str]:
+    """Returns a maze's first episode that failed and its file's ending, or says there is none."""
     rollout = evaluated.rollouts[maze]
     outcomes = rollout.episodes.outcomes(int(evaluated.mazes[maze].num_goals))
     # The first episodes alone are recorded.
+    for recorded, outcome in zip(rollout.recordings, outcomes, strict=False):
+        if outcome != "solved":
+            return recorded, f"-{outcome}"
     num = len(rollout.recordings)
-    failed = [i for i, outcome in enumerate(outcomes[:num]) if outcome != "solved"]
-    if failed:
-        _animate(out, evaluated, maze, rollout.recordings[failed[0]], f"-{outcomes[failed[0]]}")
-    else:
-        print(f"{evaluated.agent.file_name}, {maze}: none of {num} recorded episodes failed")
-
-
-def _animate(
-    out: pathlib.Path,
-    evaluated: evaluation_lib.Evaluated,
-    maze: str,
-    recorded: recording.Recording,
-    ending: str = "",
-) -> None:
-    """Animates an episode of one agent in one maze."""
-    file = out / f"{evaluated.agent.file_name}-{maze}{ending}.gif"
-    animate(file, recorded, evaluated.robot, _label(maze))
+    print(f"{evaluated.agent.file_name}, {maze}: none of {num} recorded episodes failed")
+    return None, ""
 
 
 def animate(
-    path: pathlib.Path, recorded: recording.Recording, robot: robot_lib.Robot, title: str
+    path: pathlib.Path,
+    recorded: recording.Recording,
+    robot: robot_lib.Robot,
+    title: str,
+    camera: evaluate_config.Camera = "auto",
 ) -> None:
     """Animates an episode of a robot.
 
     Args:
-      path: where the animation goes, a GIF.
+      path: where the animation goes, a GIF or MP4.
       recorded: the episode.
       robot: whose it is.
       title: what is shown.
+      camera: whether it follows the robot.
+
+    Raises:
+      base.UserError: the name has another ending, or MP4 can't be written here.
     """
     animation.save(
         path,
@@ -199,6 +200,7 @@ def animate(
         kinematics.capsules(scene.build(robot), robot.units_per_metre),
         title=title,
         reach=robot.reach * robot.units_per_metre,
+        camera=camera,
     )
 
 

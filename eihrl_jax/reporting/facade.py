@@ -190,12 +190,10 @@ class Episode:
     robot: robot_lib.Robot
 
     def save(self, path: str | pathlib.Path, *, title: str = "") -> None:
-        """Draws the episode as an animation, GIF.
+        """Draws the episode as an animation, GIF or MP4.
 
         Raises:
-          base.UserError: the name ends in something else.
+          base.UserError: the name ends in something else, or MP4 can't be written here.
         """
         file = pathlib.Path(path)
-        if file.suffix != ".gif":
-            raise base.UserError(f"{file} must end in .gif")
         evaluations.animate(file, self.recording, self.robot, title or self.robot.name)

@@ -1,10 +1,27 @@
+import pathlib
+import sys
+import types
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
 
 from eihrl_jax import base, mazes
-from eihrl_jax.drawing import animation, curves, heatmap, palette, picture, raycast
+from eihrl_jax.drawing import (
+    animation,
+    curves,
+    film,
+    heatmap,
+    layout,
+    palette,
+    panel,
+    picture,
+    raycast,
+    scenery,
+)
+from eihrl_jax.drawing import camera as camera_lib
+from eihrl_jax.drawing import shots as shots_lib
 from eihrl_jax.evaluation import recording as recording_lib
 from eihrl_jax.evaluation import whereabouts
 from eihrl_jax.reporting import learning_curve
@@ -24,13 +41,18 @@ def maze():
 
 
 @pytest.fixture(scope="module")
-def backdrop(maze):
-    return picture.draw_maze(maze, width=160, height=112)
+def scene(maze):
+    return scenery.Scenery(maze, camera_lib.fit(*maze.wall.shape, width=320, height=224))
 
 
-def pixel(backdrop, x, y, z):
-    """Returns row and column of a point of the world in the backdrop."""
-    at = np.asarray(raycast.project(backdrop.camera, jnp.array([[x, y, z]])))[0]
+@pytest.fixture(scope="module")
+def region(scene):
+    return scene.region(np.array([0, 0]), width=320, height=224)
+
+
+def pixel(scene, x, y, z):
+    """Returns row and column of a point of the world in the picture."""
+    at = scene.camera.project(np.array([[x, y, z]]))[0]
     return int(at[1]), int(at[0])
 
 
@@ -46,30 +68,45 @@ def ray(x, y, z):
 
 
 def test_camera_projects_where_its_rays_go():
-    camera = picture.fit_camera(9, 9, width=300, height=200)
-    direction = raycast.pixel_rays(camera, jnp.array([40, 60]), height=5, width=7)
-    eye = raycast.vector(camera.position)
-    point = raycast.along(eye, direction, jnp.full((5, 7), 30.0))
-    xyz = jnp.stack([component[3, 2] for component in point])[None]
-    np.testing.assert_allclose(raycast.project(camera, xyz)[0], (42.5, 63.5), atol=0.02)
+    camera = camera_lib.fit(9, 9, width=300, height=200)
+    direction = camera.rays(np.array([40, 60]), height=5, width=7)[:, 3, 2]
+    np.testing.assert_allclose(np.linalg.norm(direction), 1.0, rtol=1e-6)
+    at = camera.project(camera.position[None] + 30.0 * direction[None])
+    np.testing.assert_allclose(at[0], (42.5, 63.5), atol=0.02)
 
 
 def test_whole_maze_is_in_the_picture():
-    camera = picture.fit_camera(9, 14, width=300, height=200)
-    low, high = picture.drawn_area(9, 14)
+    camera = camera_lib.fit(9, 14, width=300, height=200)
+    low, high = camera_lib.drawn_area(9, 14)
     corners = np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T
-    at = np.asarray(raycast.project(camera, jnp.asarray(corners)))
+    at = camera.project(corners)
     assert (at >= 0).all()
     assert (at <= (300, 200)).all()
 
 
-def test_ray_meets_box_at_the_near_face():
-    low, high = jnp.array([[2.0, -1.0, -1.0]]), jnp.array([[4.0, 1.0, 1.0]])
-    origin = tuple(jnp.zeros(()) for _ in range(3))
-    hit = raycast.boxes(origin, ray(1.0, 0.0, 0.0), low, high)
-    assert hit.distance[0, 0] == 2.0
-    assert [float(n[0, 0]) for n in hit.normal] == [-1.0, 0.0, 0.0]
-    assert raycast.boxes(origin, ray(-1.0, 0.0, 0.0), low, high).index[0, 0] == -1
+def test_pixels_show_what_a_ray_meets_that_is_followed_step_by_step():
+    maze = mazes.load("spiral")
+    rows, columns = maze.wall.shape
+    scene = scenery.Scenery(maze, camera_lib.fit(rows, columns, width=700, height=700))
+    corner, size = np.array([130, 240]), 96  # across the border of tiles
+    region = scene.region(corner, width=size, height=size)
+    # From the height of the walls down, all pixels at once.
+    ray = scene.camera.rays(corner, height=size, width=size).astype(float)
+    start = scene.camera.position[:, None, None]
+    top, floor = ((z - start[2]) / ray[2] for z in (camera_lib.WALL_HEIGHT, 0.0))
+    is_met = np.zeros((size, size), bool)
+    distance = floor.copy()
+    for part in np.linspace(0.0, 1.0, 600):
+        at = top + part * (floor - top)
+        x, y, _ = start + at * ray
+        i, j = (-y // base.CELL).astype(int), (x // base.CELL).astype(int)
+        is_wall = np.asarray(maze.wall)[i.clip(0, rows - 1), j.clip(0, columns - 1)]
+        distance = np.where(is_wall & ~is_met, at, distance)
+        is_met |= is_wall
+    assert 0.2 < is_met.mean() < 0.8
+    assert (region.is_floor == ~is_met).mean() > 0.998  # edges fall to either side
+    assert np.median(np.abs(region.distance - distance)) < 1e-3
+    assert np.quantile(np.abs(region.distance - distance), 0.99) < 5e-3
 
 
 @pytest.mark.parametrize(
@@ -89,54 +126,79 @@ def test_ray_meets_side_and_cap_of_a_capsule(height, distance):
 def test_rectangles_cover_the_walls_once(maze):
     wall = np.asarray(maze.wall)
     covered = np.zeros(wall.shape, int)
-    for i0, j0, i1, j1 in picture.wall_rectangles(wall):
+    for i0, j0, i1, j1 in layout.wall_rectangles(wall):
         covered[i0:i1, j0:j1] += 1
     np.testing.assert_array_equal(covered, wall)
-    assert len(picture.wall_rectangles(wall)) < wall.sum() / 2
+    assert len(layout.wall_rectangles(wall)) < wall.sum() / 2
 
 
-def test_walls_goals_and_floor_are_where_the_maze_has_them(maze, backdrop):
+def test_walls_goals_and_floor_are_where_the_maze_has_them(maze, scene, region):
     for i, j in np.ndindex(*maze.wall.shape):
         x, y = (j + 0.5) * base.CELL, -(i + 0.5) * base.CELL
         on_ring = i in (0, 4) or j in (0, 7)
         if maze.wall[i, j] and not on_ring:
-            row, column = pixel(backdrop, x, y, picture.WALL_HEIGHT)
-            assert not backdrop.is_floor[row, column]
-            blue_over_red = backdrop.colour[row, column, 2] / backdrop.colour[row, column, 0]
-            assert blue_over_red == pytest.approx(0x8C / 0x66, rel=0.02)
+            row, column = pixel(scene, x, y, camera_lib.WALL_HEIGHT)
+            assert not region.is_floor[row, column]
+            red, _, blue = region.colour[row, column].astype(float)
+            assert blue / red == pytest.approx(0x8C / 0x66, rel=0.02)
         elif not on_ring:
-            row, column = pixel(backdrop, x, y, 0.0)
-            assert backdrop.is_floor[row, column]
-            assert backdrop.goal[row, column] == 0
-    row, column = pixel(backdrop, 4.5 * base.CELL, -base.CELL + 0.6, 0.0)
-    assert backdrop.goal[row, column] == 1
+            row, column = pixel(scene, x, y, 0.0)
+            assert region.is_floor[row, column]
+            assert region.goal[row, column] == 0
+    row, column = pixel(scene, 4.5 * base.CELL, -base.CELL + 0.6, 0.0)
+    assert region.goal[row, column] == 1
 
 
-def test_robot_is_drawn_where_it_is_and_hidden_by_walls(backdrop):
-    def differs(x, y):
-        canvas = backdrop.colour.copy()
-        centre = jnp.array([[x, y, 0.3]])
-        ball = (centre, centre, jnp.array([0.3]))
-        picture.place_robot(canvas, backdrop, ball, reach=1.2)
-        return (np.abs(canvas - backdrop.colour) > 1e-3).any(-1)
+def test_robot_is_drawn_where_it_is_and_seen_through_walls(scene, region):
+    def drawn(x, y):
+        canvas = region.colour.copy()
+        centre = np.array([[x, y, 0.3]], np.float32)
+        ball = (centre, centre, np.array([0.3], np.float32))
+        picture.place_robot(canvas, scene.camera, np.array([0, 0]), region, ball)
+        row, column = pixel(scene, x, y, 0.3)
+        return canvas, (canvas != region.colour).any(-1), row, column
 
-    seen = differs(6 * base.CELL, -2.5 * base.CELL)
-    row, column = pixel(backdrop, 6 * base.CELL, -2.5 * base.CELL, 0.3)
-    assert seen[row, column]
-    rows, columns = np.nonzero(seen)
-    assert np.hypot(rows - row, columns - column).max() < 1.3 * backdrop.pixels_per_unit
-    inside_wall = differs(2.5 * base.CELL, -2.5 * base.CELL)
-    assert not inside_wall.any()
+    canvas, differs, row, column = drawn(6 * base.CELL, -2.5 * base.CELL)
+    rows, columns = np.nonzero(differs)
+    assert np.hypot(rows - row, columns - column).max() < 1.3 * scene.pixels_per_unit
+    red = np.array(palette.rgb(palette.ROBOT)) * 255
+    assert np.abs(canvas[row, column] - red).max() < 80
+
+    # A wall is mixed with what it hides, and there is no shadow on it.
+    through, differs, row, column = drawn(2.5 * base.CELL, -2.5 * base.CELL)
+    hidden, wall = through[row, column].astype(int), region.colour[row, column].astype(int)
+    assert hidden[0] > wall[0] and hidden[2] < wall[2]
+    assert hidden[0] < canvas.max()
+    assert differs.sum() < (canvas != region.colour).any(-1).sum()
 
 
 def test_finished_picture_averages():
-    canvas = np.zeros((4, 6, 3), np.float32)
-    canvas[:2, :2] = 1.0
-    canvas[2, 2] = 1.0
+    canvas = np.zeros((4, 6, 3), np.uint8)
+    canvas[:2, :2] = 255
+    canvas[2, 2] = 255
     image = picture.finish(canvas)
     assert image.shape == (2, 3, 3)
     assert image[0, 0, 0] == 255
     assert image[1, 1, 0] == 64
+
+
+def test_a_camera_follows_a_robot_that_is_small_and_rests_in_between():
+    maze = mazes.parse("#" * 40 + "\n#S" + "." * 36 + "1#\n" + "#" * 40)
+    x = np.linspace(4.5, 112.0, 200)
+    xy = np.stack([x, np.full(200, -4.5)], -1)
+    size = (1120, 1024)
+    shots = shots_lib.plan(maze, xy, 1.0, "auto", size)
+    assert not shots.is_whole and (shots.corners % 2 == 0).all()
+    at = shots.camera.project(np.concatenate([xy, np.zeros((200, 1))], 1)) - shots.corners
+    assert (at > 0).all() and (at < size).all()
+    moves = np.abs(np.diff(shots.corners[:, 0]))
+    assert 0.2 < (moves == 0).mean() < 0.9
+    assert shots.corners[-1, 0] - shots.corners[0, 0] > 2 * size[0]
+
+    # All of a small maze is seen, of a large one if that is wanted.
+    assert shots_lib.plan(mazes.load("u"), xy[:3], 1.0, "auto", size).is_whole
+    whole = shots_lib.plan(maze, xy, 1.0, "whole", size)
+    assert whole.is_whole and not whole.corners.any()
 
 
 def ball(qpos):
@@ -160,23 +222,52 @@ def recording(maze):
     )
 
 
-def test_animation_has_a_frame_per_move(tmp_path, recording):
+def test_animation_has_a_frame_per_move(tmp_path, recording, capsys):
     path = tmp_path / "episode.gif"
     animation.save(path, recording, ball, title="mine", reach=0.5)
+    assert "drawing episode.gif: 100 % | 5/5 frames" in capsys.readouterr().out
     with Image.open(path) as image:
         assert image.n_frames == 5
         assert image.info["loop"] == 0
     assert path.stat().st_size < 300_000
 
 
-def test_goal_changes_colour_when_it_is_reached(recording):
-    frames = list(animation.render(recording, ball, title="mine", reach=0.5))
-    size = {"width": 2 * animation.MAZE_SIZE[0], "height": 2 * animation.MAZE_SIZE[1]}
-    camera = picture.fit_camera(*recording.maze.wall.shape, **size)
-    at = np.asarray(raycast.project(camera, jnp.array([[14.5, -2.6, 0.0]])))[0] / 2
-    before, after = (frame[int(at[1]), int(at[0])].astype(int) for frame in frames[-2:])
+@pytest.mark.parametrize("camera", ["whole", "follow"])
+def test_goal_changes_colour_when_it_is_reached(recording, camera):
+    frames = list(animation.render(recording, ball, title="mine", reach=1.0, camera=camera))
+    size = (2 * animation.MAZE_SIZE[0], 2 * animation.MAZE_SIZE[1])
+    shots = shots_lib.plan(recording.maze, recording.qpos[:, :2], 1.0, camera, size)
+    assert shots.is_whole == (camera == "whole")
+    seen = (shots.camera.project(np.array([[14.5, -2.6, 0.0]])) - shots.corners) / 2
+    before, after = (
+        frame[int(row), int(column)].astype(int)
+        for frame, (column, row) in zip(frames[-2:], seen[-2:], strict=True)
+    )
     assert before[0] > before[1]  # amber
     assert after[1] > after[0]  # green
+
+
+def test_mp4_is_written_where_its_package_is_there(tmp_path, monkeypatch, recording):
+    sent = []
+
+    def write_frames(path, size, **_):
+        pathlib.Path(path).touch()
+        assert size == (animation.MAZE_SIZE[0] + panel.WIDTH, animation.MAZE_SIZE[1])
+        while True:
+            sent.append((yield))
+
+    path = tmp_path / "episode.mp4"
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(base.UserError, match="mp4 needs the package imageio-ffmpeg"):
+        animation.save(path, recording, ball, title="mine", reach=0.5)
+    assert not path.exists()
+    module = types.ModuleType("imageio_ffmpeg")
+    module.write_frames = write_frames
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", module)
+    animation.save(path, recording, ball, title="mine", reach=0.5)
+    assert path.exists() and len(sent) == 5 + 35  # the last one stays for as long as in a GIF
+    with pytest.raises(base.UserError, match=r"must end in \.gif or \.mp4"):
+        film.check(tmp_path / "episode.avi")
 
 
 def test_heatmap_shows_visits_and_walls(tmp_path, maze):
