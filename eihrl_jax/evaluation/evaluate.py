@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from eihrl_jax import base, mazes, robots
@@ -80,11 +80,15 @@ class Evaluated:
         ]
 
 
-def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
+def run(
+    options: evaluate_config.EvaluateConfig, preview: Callable[[Evaluated], None] | None = None
+) -> Iterator[Evaluated]:
     """Runs all episodes, agent by agent; everything is loaded before the first one runs.
 
     Args:
       options: what is to be evaluated.
+      preview: is given the recorded episodes of an agent that is animated, when these are over
+        long before all are.
 
     Raises:
       base.UserError: a maze, robot or policy is unknown or doesn't fit; two agents would have the
@@ -105,17 +109,29 @@ def run(options: evaluate_config.EvaluateConfig) -> Iterator[Evaluated]:
 
     for item in prepared:
         title = f"{item.agent.robot}, {item.agent.movement} movement, {item.agent.high}"
-        with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
-            by_maze = item.runner.run(item.high_policy, progress)
-        yield Evaluated(
+        evaluated = functools.partial(
+            Evaluated,
             agent=item.agent,
             robot=item.robot,
             mazes=chosen,
-            rollouts=by_maze,
-            seconds=progress.seconds,
             is_last=item is prepared[-1],
             ends_when_solved=options.reward == "sparse",
         )
+        early = None
+        if preview and (options.animate != "one" or item is prepared[-1]):
+            early = functools.partial(_show_early, preview, evaluated)
+        with progress_lib.Progress(title, plan.num_decisions, unit="decisions") as progress:
+            by_maze = item.runner.run(item.high_policy, progress, early)
+        yield evaluated(rollouts=by_maze, seconds=progress.seconds)
+
+
+def _show_early(
+    preview: Callable[[Evaluated], None],
+    evaluated: Callable[..., Evaluated],
+    by_maze: dict[str, rollouts.Rollout],
+) -> None:
+    """Hands on the episodes that are over."""
+    preview(evaluated(rollouts=by_maze, seconds=0.0))
 
 
 def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> list[_Prepared]:

@@ -6,20 +6,20 @@ other episodes run beside it changes nothing. One that is over rests and costs n
 
 import dataclasses
 import functools
+import itertools
 import math
-import zlib
 from collections.abc import Callable, Hashable
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key, UInt32
+from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base, mazes
 from eihrl_jax.envs import hierarchy, raster
 from eihrl_jax.evaluation import recording as recording_lib
-from eihrl_jax.evaluation import results
+from eihrl_jax.evaluation import results, streams
 from eihrl_jax.evaluation import whereabouts as whereabouts_lib
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import paths
@@ -32,6 +32,10 @@ MAX_ROWS = 1024
 MAX_BYTES = 2**30
 """What they may take at once, more than all else an evaluation needs where mazes are huge; half as
 much again may be recorded."""
+
+_MIN_TIMES_RECORDED = 4
+"""How many times the recorded episodes all must be for these to run before the others: running
+them apart costs as many decisions more as the longest of them has."""
 
 HighPolicy: TypeAlias = Callable[[raster.Picture | None, Key[Array, ""]], Int[Array, ""]]
 """From the patch and a key to a direction; a pytree (`jax.tree_util.Partial`) of its parameters."""
@@ -112,11 +116,13 @@ class _Batch(NamedTuple):
     """Finished episodes that ran together.
 
     Attributes:
+      rows: int [E, 3], seed, maze and number of each.
       episodes: their numbers.
       visits: int [M, rows, columns], in how many episodes of each maze the torso was in each bin.
       recordings: by maze.
     """
 
+    rows: Int[np.ndarray, "E 3"]
     episodes: results.Episodes
     visits: Int[np.ndarray, "M rows columns"]
     recordings: list[list[recording_lib.Recording]]
@@ -171,18 +177,31 @@ class Runner:
         state = jax.eval_shape(self._env.reset, jax.random.key(0), jnp.int32(0))
         return jax.eval_shape(self._env.trace, state, jnp.int32(0))
 
-    def run(self, high_policy: HighPolicy, progress: progress_lib.Progress) -> dict[str, Rollout]:
+    def run(
+        self,
+        high_policy: HighPolicy,
+        progress: progress_lib.Progress,
+        preview: Callable[[dict[str, Rollout]], None] | None = None,
+    ) -> dict[str, Rollout]:
         """Runs the episodes.
 
         Args:
           high_policy: chooses the directions.
           progress: is told the decisions spent; those that an episode did not need count as spent.
+          preview: is given the recorded episodes when these are over, long before all are; not
+            called where they are a large part of all.
 
         Returns:
           What happened, by maze.
         """
         decide = functools.partial(self._compile(high_policy, progress), high_policy)
-        rows, limits = self._rows, self._plan.limits[self._rows[:, 1]]
+        rows, num_first = self._rows, 0
+        recorded = self._recorded(rows)
+        is_few = 0 < _MIN_TIMES_RECORDED * len(recorded) <= len(rows)
+        if preview and is_few and len(recorded) <= self._size:
+            # Each maze's recorded episodes are its first ones, and stay so.
+            rows, num_first = np.r_[rows[recorded], np.delete(rows, recorded, 0)], len(recorded)
+        limits = self._plan.limits[rows[:, 1]]
         spent, success = np.zeros(len(rows), int), np.zeros(len(rows))
 
         def report(here: slice, state: base.EnvState) -> None:
@@ -195,9 +214,13 @@ class Runner:
 
         # One batch after the other, each until its last episode is over.
         batches = []
-        for first in range(0, len(rows), self._size):
-            here = slice(first, first + self._size)
+        edges = [*([0] if num_first else []), *range(num_first, len(rows), self._size), len(rows)]
+        for first, end in itertools.pairwise(edges):
+            here = slice(first, end)
             batches.append(self._run_batch(decide, rows[here], functools.partial(report, here)))
+            if preview and end == num_first:
+                with progress.apart():
+                    preview(self._by_maze(batches))
         return self._by_maze(batches)
 
     def _compile(
@@ -275,10 +298,12 @@ class Runner:
         self, rows: Int[np.ndarray, "_ 3"]
     ) -> tuple[base.EnvState, whereabouts_lib.Whereabouts, Key[Array, " E"], Int[Array, " R"]]:
         """Returns what `_decide` takes between policy and number of the decision."""
-        # A short batch repeats its rows; `_finish` leaves out what is beyond them.
+        # A short batch repeats its rows, in episodes that are over and that `_finish` leaves out.
         padded = np.resize(rows, (self._size, 3))
-        env_keys, high_keys = _streams(padded, list(self._plan.mazes))
+        env_keys, high_keys = streams.streams(padded, list(self._plan.mazes))
         state = self._reset(env_keys, jnp.asarray(padded[:, 1], jnp.int32))
+        is_extra = jnp.arange(self._size) >= len(rows)
+        state = state.replace(terminated=state.terminated | is_extra)
         places = whereabouts_lib.Whereabouts.at_the_start(self._size, *self._bins.tolist())
         # As many in every batch, since they are an argument of one shape.
         recorded = np.resize(self._recorded(rows), self._num_recorded)
@@ -326,7 +351,7 @@ class Runner:
             opened = maze_lib.open_door(self._mazes[maze], jnp.asarray(nav.door_ij[row]))
             own = jax.tree.map(lambda leaf, i=i, num=num: leaf[i, :num], decisions)
             recordings[maze].append(recording_lib.of_episode(opened, own, self._shapes[0].obs))
-        return _Batch(episodes, np.stack(visits), recordings)
+        return _Batch(rows, episodes, np.stack(visits), recordings)
 
     def _shortest(
         self,
@@ -348,39 +373,19 @@ class Runner:
         """Sorts what happened in all batches by maze."""
         all_episodes = [batch.episodes for batch in batches]
         episodes = jax.tree.map(lambda *parts: np.concatenate(parts), *all_episodes)
+        maze_of = np.concatenate([batch.rows[:, 1] for batch in batches])
         visits = np.sum([batch.visits for batch in batches], axis=0)
 
         rollouts = {}
         for index, (name, maze) in enumerate(self._plan.mazes.items()):
-            is_here = self._rows[:, 1] == index
+            is_here = maze_of == index
             # Bins of the padding, by which mazes are made equally large, are cut off.
             num_rows, num_columns = (
                 whereabouts_lib.BINS_PER_CELL * side for side in maze.wall.shape
             )
             rollouts[name] = Rollout(
                 episodes=jax.tree.map(lambda column, here=is_here: column[here], episodes),
-                share=visits[index, :num_rows, :num_columns] / is_here.sum(),
+                share=visits[index, :num_rows, :num_columns] / max(is_here.sum(), 1),
                 recordings=[each for batch in batches for each in batch.recordings[index]],
             )
         return rollouts
-
-
-def _streams(
-    rows: Int[np.ndarray, "E 3"], names: list[str]
-) -> tuple[Key[Array, " E"], Key[Array, " E"]]:
-    """Returns each episode's keys for its environment and for its high level.
-
-    The maze enters by its name, so that it does not matter which others are evaluated.
-    """
-    # CRC32, since Python's own hash of a text differs from process to process.
-    hashes = np.array([zlib.crc32(name.encode()) for name in names], np.uint32)
-
-    def stream(
-        seed: UInt32[Array, ""], maze: UInt32[Array, ""], episode: UInt32[Array, ""]
-    ) -> Key[Array, "2"]:
-        key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), maze), episode)
-        return jax.random.split(key)
-
-    columns = (rows[:, 0], hashes[rows[:, 1]], rows[:, 2])
-    keys = jax.vmap(stream)(*(jnp.asarray(column, jnp.uint32) for column in columns))
-    return keys[:, 0], keys[:, 1]

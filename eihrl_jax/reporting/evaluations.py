@@ -69,10 +69,18 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
         # Agent by agent, so that what is done stays if a later one fails.
         cells: list[results.Cell] = []
         seconds: dict[str, float] = {}
-        for evaluated in evaluation_lib.run(options):
+        animated: set[results.Agent] = set()
+
+        def animate_once(evaluated: evaluation_lib.Evaluated) -> None:
+            if evaluated.agent not in animated:
+                animated.add(evaluated.agent)
+                _animate(evaluated, options)
+
+        for evaluated in evaluation_lib.run(options, animate_once):
             cells += evaluated.cells()
             seconds[evaluated.agent.file_name] = round(evaluated.seconds, 2)
             _write(evaluated, options)
+            animate_once(evaluated)
 
         about = {
             "config": json.loads(codec.to_json(options)),
@@ -86,12 +94,15 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
 
 
 def _write(evaluated: evaluation_lib.Evaluated, options: evaluate_config.EvaluateConfig) -> None:
-    """Writes the episodes of one agent, and draws what the options ask for."""
+    """Writes the episodes of one agent, and draws where it was, if the options ask for that."""
     _write_episodes(options.out / "episodes.csv", evaluated)
     if options.heatmaps:
         _draw_heatmaps(options.out, evaluated)
         _draw_endings(options.out, evaluated)
 
+
+def _animate(evaluated: evaluation_lib.Evaluated, options: evaluate_config.EvaluateConfig) -> None:
+    """Animates what the options ask for of one agent."""
     # "one": the last agent's first maze, a single picture for the whole evaluation.
     names = [name for name, rollout in evaluated.rollouts.items() if rollout.recordings]
     num = {"one": int(evaluated.is_last), "none": 0}.get(options.animate, len(names))

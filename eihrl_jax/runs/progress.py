@@ -78,6 +78,15 @@ class Progress:
         self._begin = time.monotonic()
         self._history = [(self._begin, self._done)]
 
+    @contextlib.contextmanager
+    def apart(self) -> Iterator[None]:
+        """Leaves the time of the block out of the steps per second."""
+        start = time.monotonic()
+        yield
+        took = time.monotonic() - start
+        self._begin += took
+        self._history = [(moment + took, done) for moment, done in self._history]
+
     def print(self, line: str) -> None:
         """Prints a line above the bar."""
         self._console.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -127,7 +127,7 @@ def test_nothing_is_overwritten(evaluation, options):
     assert {path: path.stat().st_mtime_ns for path in options.out.iterdir()} == before
 
 
-def random_walk(num_episodes, *, seeds=(0,), num_recorded=0):
+def random_walk(num_episodes, *, seeds=(0,), num_recorded=0, preview=None):
     """Returns the episodes of uniform directions in the Random Square, without noise."""
     chosen = {"random": mazes.load("random")}
     view = raster.View()
@@ -139,7 +139,7 @@ def random_walk(num_episodes, *, seeds=(0,), num_recorded=0):
     )
     high = loading.load_high("uniform")
     with progress.Progress("walk", plan.num_decisions) as bar:
-        return rollouts.Runner(env, plan).run(high.policy, bar)["random"]
+        return rollouts.Runner(env, plan).run(high.policy, bar, preview)["random"]
 
 
 def test_random_walk_succeeds_as_often_as_on_the_grid():
@@ -167,6 +167,22 @@ def test_batches_change_nothing(monkeypatch, limit):
     np.testing.assert_array_equal(together.share, apart.share)
     assert len(together.recordings) == len(apart.recordings) == 2
     np.testing.assert_array_equal(together.recordings[1].qpos, apart.recordings[1].qpos)
+
+
+def test_recorded_episodes_can_be_seen_before_all_are_over():
+    options = {"seeds": (0, 1), "num_recorded": 2}
+    previews = []
+    early = random_walk(6, **options, preview=previews.append)
+    late = random_walk(6, **options)
+    jax.tree.map(np.testing.assert_array_equal, early.episodes, late.episodes)
+    np.testing.assert_array_equal(early.share, late.share)
+    (preview,) = previews
+    first = preview["random"]
+    np.testing.assert_array_equal(first.episodes.decisions, late.episodes.decisions[:2])
+    for one, other in zip(first.recordings, late.recordings, strict=True):
+        np.testing.assert_array_equal(one.qpos, other.qpos)
+    random_walk(3, num_recorded=2, preview=previews.append)  # most of them: nothing is gained
+    assert len(previews) == 1
 
 
 def test_no_more_is_recorded_than_memory_holds(monkeypatch):
