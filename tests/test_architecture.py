@@ -52,6 +52,7 @@ ONLY_IN = {
         "eihrl_jax/robots/",
         "eihrl_jax/envs/postures.py",
         "eihrl_jax/benchmarks/physics.py",
+        "eihrl_jax/drawing/opengl.py",
     ),
     "orbax": ("eihrl_jax/runs/checkpoint.py",),
     "tensorboardX": ("eihrl_jax/runs/",),
@@ -60,6 +61,7 @@ ONLY_IN = {
     "matplotlib": ("eihrl_jax/drawing/", "eihrl_jax/reporting/"),
     "PIL": ("eihrl_jax/drawing/", "eihrl_jax/reporting/", "eihrl_jax/mazes/readers/pictures.py"),
     "yaml": ("eihrl_jax/mazes/readers/pictures.py",),
+    "stable_baselines3": ("eihrl_jax/gym/sb3.py", "eihrl_jax/benchmarks/low.py"),
     "tyro": ("eihrl_jax/cli/",),
 }
 """Where a package that moves may be imported."""

@@ -175,12 +175,7 @@ class _Stage:
         self._scene, self._corner, self._visited = scene, corner, visited
         width, height = _N * MAZE_SIZE[0], _N * MAZE_SIZE[1]
         self._region = scene.region(corner, width=width, height=height)
-        for number in np.unique(self._region.goal[self._region.goal > 0]):
-            colour = palette.GOAL_ACHIEVED if visited[number - 1] else palette.GOAL
-            # Multiplying keeps the shadows on the floor.
-            tint = palette.rgb(colour) / palette.rgb(palette.FLOOR)
-            where = self._region.goal == number
-            self._region.colour[where] = (self._region.colour[where] * tint).clip(0, 255)
+        self._region.paint_goals(visited)
 
         self._canvas = self._region.colour.copy()
         self._trail = Image.new("L", (width, height))

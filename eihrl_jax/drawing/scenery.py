@@ -44,6 +44,15 @@ class Region(NamedTuple):
     goal: Int[np.ndarray, "H W"]
     is_floor: Bool[np.ndarray, "H W"]
 
+    def paint_goals(self, visited: Bool[np.ndarray, "9"]) -> None:
+        """Colours the goal regions, in place."""
+        for number in np.unique(self.goal[self.goal > 0]):
+            colour = palette.GOAL_ACHIEVED if visited[number - 1] else palette.GOAL
+            # Multiplying keeps the shadows on the floor.
+            tint = palette.rgb(colour) / palette.rgb(palette.FLOOR)
+            where = self.goal == number
+            self.colour[where] = (self.colour[where] * tint).clip(0, 255)
+
 
 class _Grid(NamedTuple):
     """Cells along one axis, numbered from 1; 0 and the last lie outside of what is drawn.

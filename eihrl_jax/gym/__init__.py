@@ -15,7 +15,7 @@ except ImportError as error:
     raise ImportError("eihrl_jax.gym needs Gymnasium: pip install 'eihrl_jax[gym]'") from error
 
 from eihrl_jax import mazes, robots
-from eihrl_jax.gym import episodes
+from eihrl_jax.gym import forks
 from eihrl_jax.gym.maze import MazeEnv, MazeVectorEnv
 
 __all__ = ["MAZE_ID", "MazeEnv", "MazeVectorEnv", "register"]
@@ -26,7 +26,7 @@ MAZE_ID = "eihrl_jax/Maze-v0"
 
 def register() -> None:
     """Makes the ids known to Gymnasium, one per robot and maze of the paper among them."""
-    episodes.watch_forks()
+    forks.watch()
     known: dict[str, dict[str, str]] = {MAZE_ID: {}}
     for robot in robots.NAMES:
         for maze in mazes.NAMES:

@@ -10,10 +10,12 @@ from gymnasium import vector
 
 from eihrl_jax import base
 from eihrl_jax.config import checks
+from eihrl_jax.drawing import snapshot
 from eihrl_jax.gym import episodes, places
 from eihrl_jax.gym.episodes import Info, Mode, Shown
 
 _MAX_ENVS = 2**20
+_RENDER_MODE = "rgb_array"
 
 
 class SingleEnv(gymnasium.Env[Any, Any]):
@@ -23,12 +25,19 @@ class SingleEnv(gymnasium.Env[Any, Any]):
     as of the bare environment with `jax.random.key(seed)`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as Gymnasium has it)
+    metadata: dict[str, Any] = {"render_modes": [_RENDER_MODE]}  # noqa: RUF012 (as Gymnasium has it)
 
-    def __init__(self, task: episodes.Task):
-        """Compiles nothing yet."""
+    def __init__(self, task: episodes.Task, render_mode: str | None):
+        """Compiles nothing yet.
+
+        Raises:
+          base.UserError: the render mode isn't as it should be.
+        """
+        self.render_mode = _checked(render_mode)
+        self.metadata = {**self.metadata, "render_fps": task.fps}
         self.observation_space, self.action_space = task.spaces()
         self._rows = episodes.Rows(task, 1)
+        self._painter = snapshot.Painter(task.robot)
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Shown, Info]:
         """Begins a new episode.
@@ -56,6 +65,20 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         reward, terminated, truncated = _first((step.reward, step.terminated, step.truncated))
         return _first(step.obs), reward, terminated, truncated, _first(step.info)
 
+    def render(self) -> Any:
+        """Returns a picture, uint8 [H, W, 3]; None without render mode.
+
+        Raises:
+          base.UserError: no episode has begun.
+        """
+        if self.render_mode is None:
+            return None
+        return self._rows.draw(self._painter)[0]
+
+    def close(self) -> None:
+        """Closes what is open to draw with."""
+        self._painter.close()
+
 
 class ParallelEnv(vector.VectorEnv[Any, Any, np.ndarray]):
     """Robots in parallel, one compiled step for all.
@@ -69,26 +92,38 @@ class ParallelEnv(vector.VectorEnv[Any, Any, np.ndarray]):
     - DISABLED: the row rests until `reset(options={"reset_mask": …})`, bool [N].
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": [_RENDER_MODE]}  # noqa: RUF012
 
-    def __init__(self, task: episodes.Task, num_envs: int, autoreset_mode: str | Mode):
+    def __init__(
+        self,
+        task: episodes.Task,
+        num_envs: int,
+        autoreset_mode: str | Mode,
+        render_mode: str | None,
+    ):
         """Compiles nothing yet.
 
         Raises:
-          base.UserError: the number or the mode isn't as it should be.
+          base.UserError: the number or a mode isn't as it should be.
         """
         modes = {mode.value: mode for mode in Mode}
         value = autoreset_mode.value if isinstance(autoreset_mode, Mode) else autoreset_mode
         checks.one_of("autoreset_mode", value, modes)
         self.num_envs = whole("num_envs", num_envs, _MAX_ENVS)
+        self.render_mode = _checked(render_mode)
 
         self.single_observation_space, self.single_action_space = task.spaces()
         self.observation_space = vector.utils.batch_space(
             self.single_observation_space, self.num_envs
         )
         self.action_space = vector.utils.batch_space(self.single_action_space, self.num_envs)
-        self.metadata = {**self.metadata, "autoreset_mode": modes[value]}
+        self.metadata = {
+            **self.metadata,
+            "render_fps": task.fps,
+            "autoreset_mode": modes[value],
+        }
         self._rows = episodes.Rows(task, self.num_envs, modes[value])
+        self._painter = snapshot.Painter(task.robot)
 
     def reset(
         self,
@@ -130,6 +165,21 @@ class ParallelEnv(vector.VectorEnv[Any, Any, np.ndarray]):
             }
         return step.obs, step.reward, step.terminated, step.truncated, info
 
+    def render(self) -> tuple[Any, ...] | None:
+        """Returns a picture of every row, uint8 [H, W, 3]; None without render mode.
+
+        Raises:
+          base.UserError: no episode has begun.
+        """
+        if self.render_mode is None:
+            return None
+        return tuple(self._rows.draw(self._painter))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Closes what is open to draw with."""
+        del kwargs
+        self._painter.close()
+
     def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
         """Returns the seed of each row."""
         if seed is None:
@@ -151,6 +201,13 @@ def whole(name: str, value: object, most: int) -> int:
         raise base.UserError(f"{name} = {value!r} must be a whole number")
     checks.in_range(name, int(value), 1, most)
     return int(value)
+
+
+def _checked(render_mode: str | None) -> str | None:
+    """Returns the render mode, which must be a known one or None."""
+    if render_mode is not None:
+        checks.one_of("render_mode", render_mode, [_RENDER_MODE])
+    return render_mode
 
 
 def _first(values: Any) -> Any:

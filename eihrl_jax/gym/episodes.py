@@ -6,8 +6,6 @@ same alone, in a batch, and in every mode.
 """
 
 import functools
-import os
-import threading
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias, cast, runtime_checkable
 
@@ -16,13 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from gymnasium import spaces, vector
-from jaxtyping import Array, Bool, Float, Int, Key, PyTree, UInt32
+from jaxtyping import Array, Bool, Float, Int, Key, PyTree, UInt8, UInt32
 
 from eihrl_jax import base
+from eihrl_jax.drawing import snapshot
 from eihrl_jax.envs import task as task_lib
 from eihrl_jax.envs import wrappers
-from eihrl_jax.gym import places
+from eihrl_jax.gym import forks, places
 from eihrl_jax.ops import tree
+from eihrl_jax.robots import robot as robot_lib
 
 Mode = vector.AutoresetMode
 
@@ -34,9 +34,6 @@ Shown: TypeAlias = PyTree[np.ndarray]
 
 EnvState: TypeAlias = base.EnvState[Any, Any]
 """The state of any of our environments."""
-
-
-_is_stuck = threading.Event()  # set in a process in which JAX would hang
 
 
 @runtime_checkable
@@ -65,11 +62,23 @@ class Task(Protocol):
 
     Attributes:
       maze: where it is.
+      robot: who it is.
+      fps: pictures per second in which a video shows it as fast as it is.
     """
 
     @property
     def maze(self) -> places.HostMaze:
         """Where it is."""
+        ...
+
+    @property
+    def robot(self) -> robot_lib.Robot:
+        """Who it is."""
+        ...
+
+    @property
+    def fps(self) -> int:
+        """Pictures per second in which a video shows it as fast as it is."""
         ...
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
@@ -82,6 +91,14 @@ class Task(Protocol):
 
     def see(self, obs: Any) -> PyTree[Array]:
         """Returns an observation of the environment as Gymnasium has it."""
+        ...
+
+    def nav(self, inner: Any) -> task_lib.Navigation:
+        """Returns where an episode stands."""
+        ...
+
+    def qpos(self, inner: Any) -> Float[Array, "N nq"]:
+        """Returns the postures of N episodes."""
         ...
 
     def reward(self, final: Shown, reward: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
@@ -202,6 +219,24 @@ class Rows:
             info=_info(ends.metrics),
         )
 
+    def draw(self, painter: snapshot.Painter) -> list[UInt8[np.ndarray, "H W 3"]]:
+        """Draws every row.
+
+        Raises:
+          base.UserError: nothing has begun.
+        """
+        if self._state is None:
+            raise base.UserError("render was called before reset")
+        nav, qpos = jax.device_get(
+            (self.task.nav(self._state.inner), self.task.qpos(self._state.inner))
+        )
+
+        pictures = []
+        for i in range(self.num):
+            maze = self.task.maze.opened(int(nav.maze[i]), nav.door_ij[i])
+            pictures.append(painter.draw(maze, nav.visited[i], qpos[i]))
+        return pictures
+
     def _action(self, action: Any) -> np.ndarray:
         """Returns actions as an array, [N, …]."""
         _, space = self.task.spaces()
@@ -240,9 +275,9 @@ class Rows:
         """Takes over what `__getstate__` returned."""
         self.__dict__.update(saved)
         if self._state is not None:
-            _check_fork()
-            key = jax.random.wrap_key_data(jnp.asarray(self._state.key))
-            self._state = self._state.replace(key=key)
+            forks.check()
+            state: EnvState = jax.device_put(self._state)
+            self._state = state.replace(key=jax.random.wrap_key_data(state.key))
 
 
 class _Programs(NamedTuple):
@@ -272,7 +307,7 @@ class _OwnMaze(NamedTuple):
 @functools.lru_cache(maxsize=16)
 def _programs(task: Task, mode: Mode) -> _Programs:
     """Returns the programs of a task: environments that are alike share what is compiled."""
-    _check_fork()
+    forks.check()
     env = _OwnMaze(task.environment())
 
     def keys(seeds: UInt32[Array, " N"]) -> Key[Array, " N"]:
@@ -332,31 +367,3 @@ def _info(metrics: dict[str, Float[np.ndarray, " N"]]) -> Info:
 def _arrays(values: Any) -> Any:
     """Copies a pytree to NumPy, whose arrays the caller may then write to."""
     return jax.tree.map(np.array, values)
-
-
-def watch_forks() -> None:
-    """Makes processes that are forked from now on know whether JAX was running then."""
-    if hasattr(os, "register_at_fork"):  # not on Windows, which forks nothing
-        os.register_at_fork(after_in_child=_note_fork)
-
-
-def _note_fork() -> None:
-    """Notes in a forked process whether JAX was running."""
-    # JAX has no public name for it.
-    from jax._src import xla_bridge
-
-    if xla_bridge.backends_are_initialized():
-        _is_stuck.set()
-
-
-def _check_fork() -> None:
-    """Checks that JAX wouldn't hang, as in a forked process that lacks its threads.
-
-    Raises:
-      base.UserError: it would.
-    """
-    if _is_stuck.is_set():
-        raise base.UserError(
-            "this process was forked from one in which JAX was running, and would hang: make it "
-            "with context='spawn' or 'forkserver', or before JAX is used"
-        )

@@ -33,7 +33,7 @@ from jaxtyping import Array, Float, Int
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import checks, limits
-from eihrl_jax.envs import body, goal_maze
+from eihrl_jax.envs import body, goal_maze, task
 from eihrl_jax.gym import envs, episodes, places
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import engines
@@ -87,6 +87,19 @@ class MazeTask:
             return jnp.concatenate([xy, obs.proprioception, goal_xy, obs.time[None]])
         own = jnp.concatenate([xy, obs.proprioception, obs.time[None]])
         return {"observation": own, "achieved_goal": xy, "desired_goal": goal_xy}
+
+    @property
+    def fps(self) -> int:
+        """Pictures per second in which a video shows it as fast as it is."""
+        return max(1, round(1.0 / self.robot.control_step))
+
+    def nav(self, inner: goal_maze.GoalMazeState) -> task.Navigation:
+        """Returns where an episode stands."""
+        return inner.nav
+
+    def qpos(self, inner: goal_maze.GoalMazeState) -> Float[Array, "N nq"]:
+        """Returns the postures of N episodes."""
+        return inner.physics.qpos
 
     def reward(
         self, final: episodes.Shown, reward: Float[np.ndarray, " N"]
@@ -199,6 +212,7 @@ class MazeEnv(envs.SingleEnv):
         engine: str = "mujoco",
         num_decisions: int | None = None,
         observation: str = "flat",
+        render_mode: str | None = None,
     ):
         """Compiles nothing yet.
 
@@ -210,15 +224,16 @@ class MazeEnv(envs.SingleEnv):
           num_decisions: time limit in subgoals of the robot, some control steps each; None: the
             maze's own.
           observation: flat or goal.
+          render_mode: "rgb_array" for pictures by `render`, see `drawing.snapshot`.
 
         Raises:
           base.UserError: one of them is unknown or not as it should be.
         """
-        task = _make(maze, robot, reward, engine, num_decisions, observation)
-        super().__init__(task)
+        made = _make(maze, robot, reward, engine, num_decisions, observation)
+        super().__init__(made, render_mode)
         # An attribute of this form alone: by it others know environments with goals.
         if observation == "goal":
-            self.compute_reward = task.compute_reward
+            self.compute_reward = made.compute_reward
 
 
 class MazeVectorEnv(envs.ParallelEnv):
@@ -234,12 +249,13 @@ class MazeVectorEnv(envs.ParallelEnv):
         num_decisions: int | None = None,
         observation: str = "flat",
         autoreset_mode: str | vector.AutoresetMode = vector.AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
     ):
         """Compiles nothing yet.
 
         Args:
           num_envs: number N of robots, each with a leading row of every array.
-          maze: see `MazeEnv`, like all that follow but for the last one.
+          maze: see `MazeEnv`, like all that follow but for the mode.
           robot: see there.
           reward: see there.
           engine: see there.
@@ -247,14 +263,15 @@ class MazeVectorEnv(envs.ParallelEnv):
           observation: see there.
           autoreset_mode: what follows the end of an episode, see `envs.ParallelEnv`; as default
             what Gymnasium's own vector environments do.
+          render_mode: see there.
 
         Raises:
           base.UserError: one of them is unknown or not as it should be.
         """
-        task = _make(maze, robot, reward, engine, num_decisions, observation)
-        super().__init__(task, num_envs, autoreset_mode)
+        made = _make(maze, robot, reward, engine, num_decisions, observation)
+        super().__init__(made, num_envs, autoreset_mode, render_mode)
         if observation == "goal":
-            self.compute_reward = task.compute_reward
+            self.compute_reward = made.compute_reward
 
 
 def _make(

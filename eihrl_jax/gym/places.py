@@ -70,6 +70,19 @@ class HostMaze:
         no_goal = self.maze.replace(goal=np.zeros_like(np.asarray(self.maze.goal)))
         return mazes.stack([self.maze, no_goal] if self.can_move else [self.maze])
 
+    def opened(self, row: int, goal_ij: Int[np.ndarray, "2"]) -> maze_lib.Maze:
+        """Returns the maze of an episode on the host.
+
+        Args:
+          row: of `stacked`.
+          goal_ij: row and column of the cell that is goal 1; `task.NO_DOOR` for its own goals.
+        """
+        wall, goal = np.array(self.maze.wall), np.array(self.maze.goal)
+        goal[...] = 0 if row == _MOVED else goal
+        if goal_ij[0] != task.NO_DOOR:
+            wall[tuple(goal_ij)], goal[tuple(goal_ij)] = False, 1
+        return self.maze.replace(wall=wall, goal=goal)
+
     def regions(self) -> Int[np.ndarray, "R C"]:
         """Numbers the goals there are: a region has one number, every other cell one of its own."""
         goal = np.asarray(self.maze.goal)

@@ -16,6 +16,7 @@ from gymnasium.utils import env_checker
 
 import eihrl_jax.gym
 from eihrl_jax import base, mazes, robots
+from eihrl_jax.drawing import palette
 from eihrl_jax.envs import goal_maze
 from eihrl_jax.gym import MazeEnv, MazeVectorEnv
 from eihrl_jax.physics import engines
@@ -39,7 +40,7 @@ def test_gymnasium_finds_nothing_wrong(options):
 
 def test_ids_are_there_for_every_robot_and_maze_of_the_paper():
     ids = [name for name in gymnasium.registry if name.startswith("eihrl_jax/")]
-    assert len(ids) == 4 * 7 + 1
+    assert len(ids) == len(robots.NAMES) * len(mazes.NAMES) + 1
     env = gymnasium.make("eihrl_jax.gym:eihrl_jax/Humanoid-G1-v0").unwrapped
     assert isinstance(env, MazeEnv) and env.action_space.shape == (17,)
     envs = gymnasium.make_vec(eihrl_jax.gym.MAZE_ID, 2, maze="s", robot="point")
@@ -150,6 +151,31 @@ def test_a_copy_goes_on_as_the_original_would(duplicate):
         duplicate(small()).step(STILL)
 
 
+def test_pictures_show_the_robot_the_goal_and_whether_it_is_reached():
+    env = small(render_mode="rgb_array")
+    with pytest.raises(base.UserError, match="render was called before reset"):
+        env.render()
+    env.reset(seed=0, options={"start_cell": (6, 2), "goal_cell": (5, 2)})
+    before = env.render()
+    assert before.shape == (480, 480, 3) and before.dtype == np.uint8
+    for _ in range(12):
+        env.step(np.array([0.0, 1.0]))
+    after = copy.deepcopy(env).render()
+
+    # As many pixels of each colour as there are before and after, in any light.
+    def num_pixels(colour):
+        near = [np.abs(picture / 255.0 - colour).max(-1) < 0.2 for picture in (before, after)]
+        return [int(is_near.sum()) for is_near in near]
+
+    goal, achieved = (
+        num_pixels(palette.rgb(palette.GOAL)),
+        num_pixels(palette.rgb(palette.GOAL_ACHIEVED)),
+    )
+    assert goal[0] > goal[1] + 1000 and achieved[1] > achieved[0] + 1000
+    assert (before != after).any(-1).sum() > 1000
+    assert small().render() is None
+
+
 WORKERS = """
 import sys, warnings
 import gymnasium, jax, eihrl_jax.gym
@@ -201,6 +227,7 @@ def test_worker_processes_step_or_say_why_not(context, tmp_path):
         ({"maze": "s", "observation": "goal"}, "for mazes of one goal, this one has 3"),
         ({"num_decisions": 2**31 - 1}, "num_decisions = 2147483647 must be at least 1 and at most"),
         ({"num_decisions": True}, "num_decisions = True must be a whole number"),
+        ({"render_mode": "human"}, "render_mode = 'human' must be one of rgb_array"),
         ({"num_envs": 0}, "num_envs = 0 must be at least 1"),
         ({"autoreset_mode": "Never"}, "autoreset_mode = 'Never' must be one of NextStep"),
     ],
