@@ -15,6 +15,7 @@ PACKAGE = "eihrl_jax"
 
 LAYERS = (
     {"base"},
+    {"storage"},
     {"config"},
     {"ops"},
     {"mazes"},
@@ -67,6 +68,7 @@ ONLY_IN = {
 """Where a package that moves may be imported."""
 
 OPS_MAY_IMPORT = {"jax", "jaxtyping", "chex", "collections", "functools", "math", "typing"}
+READS_AND_WRITES = ("read_text", "read_bytes", "write_text", "write_bytes")
 RUNS_CODE = {"pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib"}
 EFFECTS = ("jax", "jnp", "np", "numpy", "mujoco", "warnings", "os", "logging", "matplotlib", "plt")
 NO_EFFECTS = ("jax.jit", "jax.vmap", "jax.tree_util.register_", "np.dtype", "os.path.")
@@ -166,6 +168,15 @@ def test_packages_that_move_stay_in_their_place(name):
     for line, module in imports_of(TREES[name]):
         places = ONLY_IN.get(module.partition(".")[0])
         assert places is None or name.startswith(places), f"{name}:{line}: imports {module}"
+
+
+@every_file
+def test_files_are_read_and_written_by_storage(name):
+    """It reads nothing but regular files of bounded size, and writes whole ones, all in UTF-8."""
+    for node in ast.walk(TREES[name]):
+        if isinstance(node, ast.Attribute) and node.attr in READS_AND_WRITES:
+            by = node.value.id if isinstance(node.value, ast.Name) else ""
+            assert by in ("reading", "writing"), f"{name}:{node.lineno}: {node.attr}"
 
 
 @every_file

@@ -1,5 +1,6 @@
 """What a user can get wrong on the command lines: one clear line, exit code 2, nothing touched."""
 
+import os
 import pathlib
 import runpy
 import sys
@@ -77,6 +78,8 @@ MISTAKES = [
     ("small_maze --methods droq", ["methods = 'droq'", "hiro, hrac, higl, hess"]),
     ("small_maze --out {tmp}/closed.txt", ["{tmp}/closed.txt"]),
     ("report --parts baselines", ["--baselines"]),
+    ("report --policies {tmp}/absent", ["policies = {tmp}/absent", "no folder"]),
+    ("report --out {tmp}/page", ["{tmp}/page/report.html", "not overwritten"]),
     ("report --parts baselines --baselines {tmp}/old", ["{tmp}/old", "<method>-<maze>-<seed>"]),
     # Earlier spellings.
     ("compare_peers --methods dqn", ["methods = 'dqn'", "rand_h", "hess"]),
@@ -84,6 +87,33 @@ MISTAKES = [
     ("value_gap --walking-episodes 1", ["full_episodes = 1", "at least 2"]),
     ("reproduce_higl --method hess", ["--method", "hess"]),
     ("reproduce_higl --run {tmp}/old", ["{tmp}/old", "--resume", "--run"]),
+]
+
+NOWHERE = ("{tmp}/LONG/x", "{tmp}/loop/x", "/proc/x/y", "{tmp}/pipe")
+"""Places at which no file or folder can be."""
+
+PLACED = (
+    "train_low --run PLACE",
+    "train_high --run PLACE",
+    "train_high --task.maze PLACE",
+    "train_baseline --run PLACE",
+    "evaluate --mazes PLACE",
+    "evaluate --high PLACE",
+    "evaluate --high random --low PLACE",
+    "evaluate --high random --robot PLACE.toml",
+    "evaluate --high random --out PLACE",
+    "measure_low --out PLACE",
+    "maze PLACE",
+    "maze u --save PLACE",
+    "plot PLACE",
+    "compare PLACE PLACE",
+    "report --policies PLACE",
+    "report --out PLACE",
+    "robot PLACE",
+)
+
+MISTAKES += [
+    (line.replace("PLACE", NOWHERE[i % len(NOWHERE)]), []) for i, line in enumerate(PLACED)
 ]
 
 TRAINERS = ("train_low", "train_high", "train_baseline", "reproduce_higl")
@@ -111,6 +141,10 @@ def place(tmp_path):
     policies.save(tmp_path / "truncated", kind="high", params={}, meta={})
     meta = tmp_path / "truncated" / "meta.json"
     meta.write_bytes(meta.read_bytes()[:-3])
+    (tmp_path / "page").mkdir()
+    (tmp_path / "page" / "report.html").write_text("<!doctype html>\n<title>precious</title>\n")
+    (tmp_path / "loop").symlink_to("loop")
+    os.mkfifo(tmp_path / "pipe")
     return tmp_path
 
 
@@ -120,7 +154,7 @@ def snapshot(folder: pathlib.Path) -> dict[pathlib.Path, bytes]:
 
 @pytest.mark.parametrize(("line", "words"), MISTAKES, ids=[line for line, _ in MISTAKES])
 def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
-    module, *arguments = line.format(tmp=place).split()
+    module, *arguments = line.replace("LONG", "x" * 300).format(tmp=place).split()
     where = "--run" if module in TRAINERS else "--save" if module == "maze" else "--out"
     if where not in arguments:
         arguments += [where, RUN.format(tmp=place)]

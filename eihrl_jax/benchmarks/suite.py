@@ -10,6 +10,7 @@ from eihrl_jax.benchmarks import baselines, high, low, physics
 from eihrl_jax.benchmarks.part import Part
 from eihrl_jax.config import limits
 from eihrl_jax.runs import versions
+from eihrl_jax.storage import writing
 
 PARTS: dict[str, Part[Any]] = {
     "speed": Part(high.decisions_per_second, high.decisions_rows),
@@ -55,8 +56,8 @@ def main(config: BenchmarkConfig) -> None:
         print(f"measuring {part} ...", flush=True)
         figures[part] = PARTS[part].measure()
         document = {"machine": versions.describe(), "found": figures}
-        (config.out / "benchmark.json").write_text(json.dumps(document, indent=2) + "\n")
-        (config.out / "benchmark.md").write_text(markdown(figures))
+        writing.write_text(config.out / "benchmark.json", json.dumps(document, indent=2) + "\n")
+        writing.write_text(config.out / "benchmark.md", markdown(figures))
     print(markdown(figures))
 
 

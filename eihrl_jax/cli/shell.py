@@ -28,16 +28,8 @@ from eihrl_jax.training import parallel
 
 ConfigT = TypeVar("ConfigT")
 
-_PLACE_ERRORS = (
-    errno.EACCES,
-    errno.EEXIST,
-    errno.EISDIR,
-    errno.ENOSPC,
-    errno.ENOTDIR,
-    errno.EPERM,
-    errno.EROFS,
-)
-"""What is wrong with the place that files are to be read from or written to."""
+_FULL = (errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENOSPC)
+"""What is wrong with a disk; whoever writes on it may not know a name."""
 
 
 def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None:
@@ -59,10 +51,11 @@ def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None
     except base.UserError as error:
         fail(str(error))
     except OSError as error:
-        # Other errors may be ours: they keep their traceback.
-        if error.errno not in _PLACE_ERRORS:
+        # Without the name of a place the error may be ours: it keeps its traceback.
+        if error.filename is None and error.errno not in _FULL:
             raise
-        fail(f"{error.filename}: {error.strerror}")
+        place = "" if error.filename is None else f"{error.filename!s:.300}: "
+        fail(f"{place}{error.strerror}")
     except KeyboardInterrupt as stop:
         print(_farewell(stop, command, argv, program), file=sys.stderr)
         sys.exit(130)  # 128 + SIGINT, as shells have it

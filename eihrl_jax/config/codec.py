@@ -13,6 +13,7 @@ from typing import Any, TypeAlias, TypeVar
 
 from eihrl_jax import base
 from eihrl_jax.config import checks
+from eihrl_jax.storage import reading
 
 ConfigT = TypeVar("ConfigT")
 
@@ -41,10 +42,7 @@ def from_json(config_type: type[ConfigT], text: str, *, source: str = "config") 
     Raises:
       UserError: no JSON, an unknown option, a value of the wrong type or outside its limits.
     """
-    try:
-        values = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise base.UserError(f"{source} is no JSON: {error}") from None
+    values = reading.parse_json(text, source)
     try:
         return _build(config_type, values, source)
     except base.UserError:

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import io
 import itertools
 import pathlib
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ from jaxtyping import Float
 from eihrl_jax import base
 from eihrl_jax.drawing import figures, palette
 from eihrl_jax.evaluation import statistics
+from eihrl_jax.storage import reading
 
 _LINES = tuple(itertools.product(("-", "--", ":"), palette.CURVE))
 _MARKERS = "os^DvPX"
@@ -32,9 +34,8 @@ def columns(path: pathlib.Path) -> tuple[str, ...]:
       base.UserError: the file can't be read.
     """
     try:
-        with path.open(newline="") as file:
-            return tuple(csv.DictReader(file).fieldnames or ())
-    except (OSError, ValueError) as error:
+        return tuple(rows(path).fieldnames or ())
+    except (OSError, csv.Error) as error:
         raise base.UserError(f"{path} can't be read: {error}") from None
 
 
@@ -51,9 +52,8 @@ def read(path: pathlib.Path, x: str, y: str, *, may_be_empty: bool = False) -> C
       base.UserError: the file can't be read, lacks a column, or holds no number in them.
     """
     try:
-        with path.open(newline="") as file:
-            rows = [(row[x], row[y]) for row in csv.DictReader(file)]
-        points = np.array([pair for pair in rows if all(pair)], float).reshape(-1, 2)
+        pairs = [(row[x], row[y]) for row in rows(path)]
+        points = np.array([pair for pair in pairs if all(pair)], float).reshape(-1, 2)
         points = points[np.isfinite(points).all(1)]
     except KeyError as error:
         raise base.UserError(f"{path} has no column {error}") from None
@@ -63,6 +63,11 @@ def read(path: pathlib.Path, x: str, y: str, *, may_be_empty: bool = False) -> C
     if not len(points) and not may_be_empty:
         raise base.UserError(f"{path} holds no values of {x!r} and {y!r}")
     return points
+
+
+def rows(path: pathlib.Path) -> "csv.DictReader[str]":
+    """Reads the rows of a `metrics.csv` by column."""
+    return csv.DictReader(io.StringIO(reading.read_text(path), newline=""))
 
 
 def smooth(values: Float[np.ndarray, " N"], window: int) -> Float[np.ndarray, " N"]:

@@ -1,7 +1,6 @@
 """Subgoal statistics: how evenly a low level carries out its subgoals (paper, Definition 3.1)."""
 
 import dataclasses
-import json
 import math
 import pathlib
 from typing import NamedTuple
@@ -12,6 +11,7 @@ from jaxtyping import Array, Float
 from eihrl_jax import base
 from eihrl_jax.envs import postures
 from eihrl_jax.robots import robot as robot_lib
+from eihrl_jax.storage import reading
 
 FILE, POSTURES = "subgoals.json", "postures.npz"
 """Names of the files in which a measurement keeps its figures and its posture bank."""
@@ -101,7 +101,7 @@ def load(folder: pathlib.Path) -> Statistics:
 
     # Field by field: a file with one too many or too few is damaged.
     try:
-        statistics = Statistics(**json.loads(path.read_text())[OPEN])
+        statistics = Statistics(**reading.read_json(path)[OPEN])
         is_known = math.isfinite(statistics.along_mean) and math.isfinite(statistics.sigma)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise base.UserError(f"measurement {path} can't be read: {error}") from None

@@ -19,6 +19,7 @@ from eihrl_jax import base
 from eihrl_jax.config import codec
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.evaluation import statistics
+from eihrl_jax.storage import reading, writing
 
 FORMAT = 2
 """Of `eval.json`. Files of format 1, which call agents systems and uniform directions random, are
@@ -188,7 +189,7 @@ def summarise(
 
 def save(path: pathlib.Path, evaluation: Evaluation) -> None:
     """Writes `eval.json`."""
-    path.write_text(codec.to_json(evaluation))
+    writing.write_text(path, codec.to_json(evaluation))
 
 
 def load(path: pathlib.Path) -> Evaluation:
@@ -198,8 +199,8 @@ def load(path: pathlib.Path) -> Evaluation:
       base.UserError: the file can't be read or is no `eval.json` of a known format.
     """
     try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
+        text = reading.read_text(path)
+    except OSError as error:
         raise base.UserError(f"{path} can't be read: {error}") from None
     try:
         evaluation = codec.from_json(Evaluation, _updated(text))
@@ -214,7 +215,7 @@ def load(path: pathlib.Path) -> Evaluation:
 
 def _updated(text: str) -> str:
     """Returns a file of format 1 as one of today's format, any other as it is."""
-    content = json.loads(text)
+    content = reading.parse_json(text, "it")
     if not isinstance(content, dict) or content.get("format") != 1:
         return text
     return json.dumps(json.loads(text, object_hook=_renamed) | {"format": FORMAT})

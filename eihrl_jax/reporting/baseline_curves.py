@@ -1,6 +1,5 @@
 """Learning of ours and the baselines for `experiments.report` (paper, Figures 5 and 6)."""
 
-import csv
 import dataclasses
 import functools
 import itertools
@@ -260,8 +259,7 @@ def _is_evaluated(file: pathlib.Path, name: str) -> bool:
     """Returns whether a run has been evaluated; its file may be empty until then."""
     if f"{name}/success" not in curves.columns(file):
         return False
-    with file.open(newline="") as text:
-        return any(row[f"{name}/success"] for row in csv.DictReader(text))
+    return any(row[f"{name}/success"] for row in curves.rows(file))
 
 
 def by_steps(file: pathlib.Path, y: str) -> Curve:

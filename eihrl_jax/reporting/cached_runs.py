@@ -17,6 +17,7 @@ from eihrl_jax.config import low as low_config
 from eihrl_jax.evaluation import results
 from eihrl_jax.reporting import evaluations
 from eihrl_jax.runs import checkpoint, policies
+from eihrl_jax.storage import reading
 
 Run = low_config.LowConfig | high_config.HighConfig | baselines_config.BaselineConfig
 RunT = TypeVar("RunT", bound=Run)
@@ -75,7 +76,7 @@ def is_finished(options: Run) -> bool:
     file = options.run / "config.json"
     if not file.is_file():
         raise base.UserError(f"{options.run} has a policy, but no {file.name}")
-    trained = codec.from_json(type(options), file.read_text(), source=str(file))
+    trained = codec.from_json(type(options), reading.read_text(file), source=str(file))
     # The folder may have been moved since, and a run be begun with or without --resume.
     if dataclasses.replace(trained, run=options.run, resume=True) != options:
         raise base.UserError(f"{options.run} was trained with other options: name another --out")

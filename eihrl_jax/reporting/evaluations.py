@@ -29,6 +29,7 @@ from eihrl_jax.evaluation import recording, results, rollouts, tables
 from eihrl_jax.physics import kinematics, scene
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import folders, versions
+from eihrl_jax.storage import writing
 
 _EPISODE_COLUMNS = (
     *("robot", "movement", "high", "low", "maze", "seed", "episode", "achieved", "goals"),
@@ -89,7 +90,7 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
         }
         evaluation = results.Evaluation(about=about, cells=tuple(cells))
         results.save(options.out / "eval.json", evaluation)
-        (options.out / "tables.md").write_text(tables.markdown(evaluation.cells))
+        writing.write_text(options.out / "tables.md", tables.markdown(evaluation.cells))
     return evaluation
 
 

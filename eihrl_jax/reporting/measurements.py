@@ -7,6 +7,7 @@ from eihrl_jax.drawing import scatter
 from eihrl_jax.envs import postures, subgoals
 from eihrl_jax.evaluation import measure as measure_lib
 from eihrl_jax.runs import folders, versions
+from eihrl_jax.storage import writing
 
 
 def measure(options: measure_config.MeasureConfig) -> measure_lib.Measurement:
@@ -36,7 +37,7 @@ def _write(measured: measure_lib.Measurement, options: measure_config.MeasureCon
     drift = {subgoals.DRIFT: [vars(drift) for drift in measured.drift]}
     about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
     text = json.dumps(document | drift | about | {"versions": versions.describe()}, indent=2)
-    (options.out / subgoals.FILE).write_text(text + "\n")
+    writing.write_text(options.out / subgoals.FILE, text + "\n")
 
     # Of open floor: among walls the ends say as much about the rooms.
     ends = measure_lib.end_points(measured.steps)

@@ -8,8 +8,12 @@ from collections.abc import Sequence
 
 from eihrl_jax.drawing import palette
 from eihrl_jax.evaluation import tables as tables_lib
+from eihrl_jax.storage import reading, writing
 
 _TYPES = {".png": "image/png", ".gif": "image/gif"}
+
+_GENERATOR = '<meta name="generator" content="eihrl_jax">'
+"""By which a page of ours is known."""
 
 _STYLE = f"""
 :root {{ color-scheme: light; }}
@@ -75,12 +79,20 @@ def write(path: pathlib.Path, title: str, lead: str, sections: Sequence[Section]
     """
     body = "\n".join(_section(section) for section in sections)
     # Everything that comes from outside is escaped: names of runs may hold any character.
-    path.write_text(
+    writing.write_text(
+        path,
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f"{_GENERATOR}\n"
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{html.escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-        f"<h1>{html.escape(title)}</h1>\n<p>{html.escape(lead)}</p>\n{body}\n</body>\n</html>\n"
+        f"<h1>{html.escape(title)}</h1>\n<p>{html.escape(lead)}</p>\n{body}\n</body>\n</html>\n",
     )
+
+
+def is_ours(path: pathlib.Path) -> bool:
+    """Returns whether a file is a page that `write` wrote."""
+    with path.open("rb") as file:
+        return _GENERATOR.encode("ascii") in file.read(1_000)
 
 
 def markdown(sections: Sequence[Section]) -> str:
@@ -120,7 +132,7 @@ def _table(table: tables_lib.Table) -> str:
 def _figure(picture: Picture) -> str:
     # Inside the page, which then can be sent and kept as one file.
     # The picture itself stands in the page, so that it is one file.
-    data = base64.b64encode(picture.path.read_bytes()).decode()
+    data = base64.b64encode(reading.read_bytes(picture.path)).decode()
     kind, caption = _TYPES[picture.path.suffix], html.escape(picture.caption, quote=True)
     return (
         f'<figure>\n<img src="data:{kind};base64,{data}" alt="{caption}">\n'

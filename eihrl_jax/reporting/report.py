@@ -3,6 +3,8 @@
 from eihrl_jax import base
 from eihrl_jax.config import report as report_config
 from eihrl_jax.reporting import comparison, page, sections
+from eihrl_jax.runs import folders
+from eihrl_jax.storage import writing
 
 
 def main(config: report_config.ReportConfig) -> None:
@@ -11,6 +13,7 @@ def main(config: report_config.ReportConfig) -> None:
     Raises:
       base.UserError: there is nothing to show.
     """
+    _check_places(config)
     runs = sections.Runs(config)
     made = [sections.PARTS[part](runs) for part in config.parts]
     shown = [section for section in made if section.tables or section.pictures]
@@ -23,5 +26,18 @@ def main(config: report_config.ReportConfig) -> None:
 
     config.out.mkdir(parents=True, exist_ok=True)
     page.write(config.out / "report.html", "Zero-shot navigation", comparison.NOTE, shown)
-    (config.out / "tables.md").write_text(page.markdown(shown))
+    writing.write_text(config.out / "tables.md", page.markdown(shown))
     print(f"written to {config.out / 'report.html'}")
+
+
+def _check_places(config: report_config.ReportConfig) -> None:
+    """Checks, before anything is evaluated, what is read and that nothing foreign is replaced."""
+    named = [("policies", config.policies), ("baselines", config.baselines)]
+    for option, folder in [*named, *(("ablations", each) for each in config.ablations)]:
+        if folder is not None and not folder.is_dir():
+            raise base.UserError(f"{option} = {folder} is no folder")
+
+    # Ours may be taken up again.
+    file = config.out / "report.html"
+    if folders.holds_something(config.out) and file.exists() and not page.is_ours(file):
+        raise base.UserError(f"{file} is no page of this command and is not overwritten")

@@ -12,6 +12,7 @@ from eihrl_jax.drawing import robot_views
 from eihrl_jax.physics import kinematics, proposal, scene, trials
 from eihrl_jax.robots import files
 from eihrl_jax.runs import folders
+from eihrl_jax.storage import writing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,7 +51,7 @@ def try_out(options: robot_config.RobotConfig) -> Trial:
         description = files.text(robot, options.out)
         # What is given stays where it is, comments and all.
         if not is_description:
-            (options.out / f"robot{files.SUFFIX}").write_text(description)
+            writing.write_text(options.out / f"robot{files.SUFFIX}", description)
 
         qpos = jnp.asarray(model.key_qpos[0], jnp.float32)
         capsules = jax.tree.map(np.asarray, kinematics.capsules(model)(qpos))

@@ -14,6 +14,7 @@ from eihrl_jax.evaluation import paper, results, tables
 from eihrl_jax.mazes import generators
 from eihrl_jax.reporting import baseline_curves, cached_runs, comparison, page
 from eihrl_jax.runs import policies
+from eihrl_jax.storage import writing
 
 TABLE1 = tuple(tables.TABLE1_MAZES)
 TRAINED = ("u", "s", "spiral")
@@ -309,7 +310,7 @@ def _rooms(runs: Runs) -> tuple[str, ...]:
     files = {seed: folder / f"room-{seed:05d}.txt" for seed in range(runs.options.num_rooms)}
     for seed, file in files.items():
         if not file.exists():
-            file.write_text(generators.random_room(seed, ROOM_SIDE, ROOM_SIDE))
+            writing.write_text(file, generators.random_room(seed, ROOM_SIDE, ROOM_SIDE))
     return tuple(map(str, files.values()))
 
 

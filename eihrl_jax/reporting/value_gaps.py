@@ -11,6 +11,7 @@ from eihrl_jax.drawing import curves, palette
 from eihrl_jax.evaluation import tables
 from eihrl_jax.evaluation import value_gap as gap_lib
 from eihrl_jax.runs import folders, versions
+from eihrl_jax.storage import writing
 from eihrl_jax.theory import displacement, gaussians
 
 
@@ -37,8 +38,8 @@ def _write(options: gap_config.ValueGapConfig, gaps: list[gap_lib.Gap]) -> None:
     """Writes numbers and table."""
     about = {"reference": options.reference, "gamma": options.gamma}
     document = about | {"gaps": [vars(gap) for gap in gaps], "versions": versions.describe()}
-    (options.out / "gap.json").write_text(json.dumps(document, indent=2) + "\n")
-    (options.out / "gap.md").write_text(markdown(gaps))
+    writing.write_text(options.out / "gap.json", json.dumps(document, indent=2) + "\n")
+    writing.write_text(options.out / "gap.md", markdown(gaps))
 
 
 def _draw(options: gap_config.ValueGapConfig, gaps: list[gap_lib.Gap]) -> None:

@@ -4,12 +4,12 @@ import dataclasses
 import json
 import os
 import pathlib
-import tomllib
 
 from eihrl_jax import base
 from eihrl_jax.config import codec
 from eihrl_jax.robots import ant, go1, humanoid, point, swimmer
 from eihrl_jax.robots.robot import Robot
+from eihrl_jax.storage import reading
 
 ASSETS = pathlib.Path(__file__).parent / "assets"
 """Folder of the models that come with the package."""
@@ -60,13 +60,11 @@ def read(path: pathlib.Path) -> Robot:
       base.UserError: it can't be read, lacks something, or says something impossible.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = reading.read_toml(path)
     except OSError as error:
         raise base.UserError(f"robot {str(path)!r}: {error.strerror}") from None
-    except RecursionError:
-        raise base.UserError(f"robot {str(path)!r} is nested too deep") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise base.UserError(f"robot {str(path)!r} is no TOML: {error}") from None
+    except base.UserError as error:
+        raise base.UserError(f"robot {error}") from None
 
     try:
         # By way of JSON, so that descriptions are checked by what checks configs.

@@ -9,11 +9,14 @@ Arrays are stored without compression: replay buffers hardly compress, and savin
 0.3 to 1.2 s so, against 0.8 to 1.8 s with it (two cores).
 """
 
+import contextlib
 import hashlib
 import json
 import pathlib
+import re
 import shutil
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar, overload
 
 import jax
@@ -22,13 +25,16 @@ import orbax.checkpoint as ocp
 from jaxtyping import PyTree
 
 from eihrl_jax import base
+from eihrl_jax.storage import reading, writing
 
 KEEP = 2
 """Checkpoints kept in a run folder."""
 
-_HIDDEN = ".incomplete-"  # begins no step, so `_steps` never sees it
+_HIDDEN = writing.TEMPORARY  # begins no step, so `_steps` never sees it
 _FORMAT = 1  # of the manifest; counts up when an older reader would misread it
 _MANIFEST = "manifest.json"
+_MISREAD = re.compile(r"[\[\]\\\udc80-\udcff]|:/")
+"""What Orbax takes for a pattern, an escape or an address in a path, or can't take: no Unicode."""
 
 TreeT = TypeVar("TreeT")
 LeafT = TypeVar("LeafT")
@@ -130,18 +136,20 @@ def write(
         path.parent.mkdir(parents=True, exist_ok=True)
         _clean(path.parent)
 
+        hidden.mkdir()
+
     ocp.multihost.sync_global_processes("checkpoint: prepared")
-    with _checkpointer() as checkpointer:
-        checkpointer.save((hidden / "arrays").absolute(), tree)
+    with _checkpointer() as checkpointer, _plain(hidden) as folder:
+        checkpointer.save(folder / "arrays", tree)
 
     if jax.process_index() == 0:
         # Orbax notes the folder it wrote to; a checkpoint is given away without its origin.
         (hidden / "arrays" / "commit_success.txt").unlink(missing_ok=True)
         for name, text in (files or {}).items():
-            (hidden / name).write_text(text)
+            writing.write_text(hidden / name, text)
         checksums = {name: _checksum(file) for name, file in _files(hidden).items()}
         manifest = {"format": _FORMAT, "arrays": describe(tree), "files": checksums}
-        (hidden / _MANIFEST).write_text(json.dumps(manifest, indent=1))
+        writing.write_text(hidden / _MANIFEST, json.dumps(manifest, indent=1))
         # The one moment at which the checkpoint comes to be.
         hidden.rename(path)
     ocp.multihost.sync_global_processes("checkpoint: complete")
@@ -174,8 +182,8 @@ def read(path: pathlib.Path, template: PyTree = None) -> PyTree:
     template = jax.tree.map(_placed, template)
     restore_args = ocp.checkpoint_utils.construct_restore_args(template)
     arguments = ocp.args.PyTreeRestore(item=template, restore_args=restore_args)
-    with _checkpointer() as checkpointer:
-        return checkpointer.restore((path / "arrays").absolute(), args=arguments)
+    with _checkpointer() as checkpointer, _plain(path) as folder:
+        return checkpointer.restore(folder / "arrays", args=arguments)
 
 
 def read_file(path: pathlib.Path, name: str) -> str:
@@ -188,7 +196,7 @@ def read_file(path: pathlib.Path, name: str) -> str:
     if name not in files:
         raise base.UserError(f"{path} has no {name}")
     _check_file(path, name, files[name])
-    return (path / name).read_text()
+    return reading.read_text(path / name)
 
 
 def is_complete(path: pathlib.Path) -> bool:
@@ -215,6 +223,20 @@ def _kind(leaf: jax.typing.ArrayLike | jax.ShapeDtypeStruct) -> str:
 
 def _checkpointer() -> ocp.Checkpointer:
     return ocp.Checkpointer(ocp.PyTreeCheckpointHandler(use_zarr3=True, use_compression=False))
+
+
+@contextlib.contextmanager
+def _plain(folder: pathlib.Path) -> Iterator[pathlib.Path]:
+    """Gives a folder a path that Orbax takes as it is: a link's, where its own would be misread."""
+    path = folder.absolute()
+    if not _MISREAD.search(str(path)):
+        yield path
+        return
+
+    with tempfile.TemporaryDirectory() as place:
+        link = pathlib.Path(place) / "folder"
+        link.symlink_to(path, target_is_directory=True)
+        yield link
 
 
 def _steps(folder: pathlib.Path) -> list[int]:
@@ -252,12 +274,12 @@ def _manifest(path: pathlib.Path) -> dict[str, Any]:  # JSON
         raise base.UserError(f"{path} is no checkpoint: it has no {_MANIFEST}")
 
     try:
-        manifest = json.loads((path / _MANIFEST).read_text())
+        manifest = reading.read_json(path / _MANIFEST)
         version = manifest["format"]
         # A manifest that was cut or edited may still be JSON.
         texts = [*manifest["files"].items(), *manifest["arrays"].items()]
         is_sound = all(isinstance(text, str) for pair in texts for text in pair)
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (base.UserError, KeyError, TypeError, AttributeError):
         is_sound = False
 
     if not is_sound:

@@ -1,4 +1,4 @@
-"""Folders that one process fills: free or not, locked against others, files written whole."""
+"""Folders that one process fills: free or not, locked against others."""
 
 import contextlib
 import fcntl
@@ -7,11 +7,10 @@ import pathlib
 from collections.abc import Iterator
 
 from eihrl_jax import base
+from eihrl_jax.storage import writing
 
 LOCK = ".lock"
 """Name of the file by which a process keeps others out of its folder."""
-
-_TEMPORARY = ".incomplete-"  # the same start as that of a checkpoint under way
 
 
 @contextlib.contextmanager
@@ -66,24 +65,17 @@ def holds_something(path: pathlib.Path) -> bool:
     if not path.is_dir():
         raise base.UserError(f"{path} is a file, not a folder")
     names = [entry.name for entry in path.iterdir()]
-    return any(name != LOCK and not name.startswith(_TEMPORARY) for name in names)
+    return any(name != LOCK and not name.startswith(writing.TEMPORARY) for name in names)
 
 
 def take_lock(path: pathlib.Path) -> int:
     """Locks the folder for as long as this process lives; a kill gives the lock back."""
     # On the open file, not by its existence: the system releases it when the process dies.
-    descriptor = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    descriptor = os.open(path / LOCK, flags, 0o644)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(descriptor)
         raise base.UserError(f"{path} is being written to by another process") from None
     return descriptor
-
-
-def write_whole(file: pathlib.Path, text: str) -> None:
-    """Writes a file such that a kill leaves the old one or the new one."""
-    # In the same folder: only within one file system is a replacement atomic.
-    temporary = file.with_name(f"{_TEMPORARY}{file.name}")
-    temporary.write_text(text)
-    temporary.replace(file)

@@ -10,7 +10,7 @@ from typing import SupportsFloat, TextIO
 import tensorboardX
 
 from eihrl_jax import base
-from eihrl_jax.runs import folders
+from eihrl_jax.storage import reading, writing
 
 FILE = "metrics.csv"
 """Name of the table in a run's folder: one row per `log`, one column per metric."""
@@ -56,7 +56,8 @@ class MetricsLog:
 
         if self._table is None:
             # Line by line, so that a kill costs the row that is being written at most.
-            self._table = (self._folder / FILE).open("a", buffering=1, newline="")
+            file = writing.append(self._folder / FILE)
+            self._table = io.TextIOWrapper(file, "utf-8", newline="", line_buffering=True)
         row = [step, *(values.get(name, "") for name in self._columns)]
         csv.writer(self._table, lineterminator="\n").writerow(row)
 
@@ -84,7 +85,8 @@ def _drop_rows_after(file: pathlib.Path, step: int) -> list[str]:
     if not file.is_file():
         return []
     # A kill can only have cut the last line, as rows are appended one by one.
-    complete = [line for line in file.read_text().splitlines(keepends=True) if line.endswith("\n")]
+    lines = reading.read_text(file).splitlines(keepends=True)
+    complete = [line for line in lines if line.endswith("\n")]
     header, *rows = csv.reader(complete) if complete else [[]]
     try:
         kept = [row for row in rows if int(row[0]) <= step]
@@ -101,14 +103,14 @@ def _drop_rows_after(file: pathlib.Path, step: int) -> list[str]:
 
 def _widen(file: pathlib.Path, header: Sequence[str]) -> None:
     """Gives a table more columns, whose fields are empty in the rows that are there."""
-    rows = list(csv.reader(file.read_text().splitlines()))[1:] if file.is_file() else []
+    rows = list(csv.reader(reading.read_text(file).splitlines()))[1:] if file.is_file() else []
     _write(file, [header, *([*row, *[""] * (len(header) - len(row))] for row in rows)])
 
 
 def _write(file: pathlib.Path, rows: Sequence[Sequence[str]]) -> None:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    folders.write_whole(file, text.getvalue())
+    writing.write_text(file, text.getvalue())
 
 
 def _open_events(folder: pathlib.Path, first_step: int) -> tensorboardX.SummaryWriter:

@@ -24,6 +24,7 @@ from jaxtyping import PyTree
 from eihrl_jax import base
 from eihrl_jax.config import codec
 from eihrl_jax.runs import checkpoint, folders, metrics_log, versions
+from eihrl_jax.storage import reading, writing
 
 CHECKPOINTS = "checkpoints"
 """Name of the folder of a run's checkpoints."""
@@ -47,6 +48,7 @@ class RunFolder:
         self.path = path
         self._lock = lock
         self._begin = time.monotonic()
+        self._config = ""
         self._starts: list[dict[str, Json]] = []
         self._metrics = metrics_log.MetricsLog(path)
 
@@ -84,9 +86,10 @@ class RunFolder:
         # Nothing is written before all that can be wrong has been looked at.
         path.mkdir(parents=True, exist_ok=True)
         run = cls(path, folders.take_lock(path))
-        folders.write_whole(path / _CONFIG, text)
+        run._config = text
         run._starts = [*read_starts(path), versions.describe()]
-        run._write_starts()
+        if not is_taken:
+            run._write_start()
         return run
 
     def __enter__(self) -> "RunFolder":
@@ -115,6 +118,8 @@ class RunFolder:
     def restore(self, template: StateT) -> tuple[int, StateT] | None:
         """Reads the last checkpoint and drops the metrics that were logged after it.
 
+        A run that goes on must call it before anything else: until then nothing of it is touched.
+
         Args:
           template: a state of the same structure, as a fresh start makes it.
 
@@ -122,13 +127,23 @@ class RunFolder:
           Its step and its state, or None at the beginning of a run.
 
         Raises:
-          UserError: the checkpoint is damaged or holds another structure.
+          UserError: the checkpoint is damaged or holds another structure, or there was one that is
+            gone.
         """
         restored = checkpoint.restore(self.path / CHECKPOINTS, template)
         if self._lock is not None:
+            # A run that has had a checkpoint would else lose its metrics, and begin anew unasked.
+            lost = [start["step"] for start in self._starts if "step" in start]
+            if restored is None and lost:
+                gone = (
+                    f"{self.path / CHECKPOINTS} holds none, though there was one of step {lost[-1]}"
+                )
+                raise base.UserError(f"{gone}; put it back, or name another --run")
+
             if restored is None and (self.path / metrics_log.FILE).is_file():
                 print(f"{self.path} has no checkpoint yet: the run begins anew", file=sys.stderr)
             self._metrics.rewind(-1 if restored is None else restored[0])
+            self._write_start()
         return restored
 
     def log(self, step: int, metrics: Mapping[str, SupportsFloat]) -> None:
@@ -136,17 +151,19 @@ class RunFolder:
         if self._lock is not None:
             self._metrics.log(step, metrics)
 
+    def _write_start(self) -> None:
+        """Writes the options and the versions of this start."""
+        writing.write_text(self.path / _CONFIG, self._config)
+        self._write_starts()
+
     def _write_starts(self) -> None:
-        folders.write_whole(self.path / _STARTS, json.dumps(self._starts, indent=2))
+        writing.write_text(self.path / _STARTS, json.dumps(self._starts, indent=2))
 
 
 def _check_same_options(file: pathlib.Path, options: object, may_change: Collection[str]) -> None:
     """Checks a run's options; those that are newer than the run count as left at their defaults."""
-    text = file.read_text()
-    try:
-        stored = json.loads(text)
-    except ValueError:
-        raise base.UserError(f"{file} is damaged: no JSON") from None
+    text = reading.read_text(file)
+    stored = reading.parse_json(text, str(file))
 
     # Through the config where it can be read as one: a newer option then has its default, and a
     # value that was written in another way its present form.
@@ -184,10 +201,7 @@ def read_options(path: pathlib.Path) -> dict[str, Json]:
     file = path / _CONFIG
     if not file.is_file():
         raise base.UserError(f"{path} holds no run: it has no {_CONFIG}")
-    try:
-        return _flat(json.loads(file.read_text()))
-    except ValueError:
-        raise base.UserError(f"{file} is damaged: no JSON") from None
+    return _flat(reading.read_json(file))
 
 
 def read_starts(path: pathlib.Path) -> list[dict[str, Json]]:
@@ -197,6 +211,10 @@ def read_starts(path: pathlib.Path) -> list[dict[str, Json]]:
     `seconds` until then, compilation included, where one was written.
     """
     try:
-        return list(json.loads((path / _STARTS).read_text()))
-    except (FileNotFoundError, ValueError):
+        starts = reading.read_json(path / _STARTS)
+    except (FileNotFoundError, base.UserError):
         return []
+    # What is told here is for readers alone: a run goes on without it.
+    return (
+        [start for start in starts if isinstance(start, dict)] if isinstance(starts, list) else []
+    )

@@ -10,6 +10,8 @@ from typing import Any
 
 import jax
 
+from eihrl_jax.storage import reading
+
 PACKAGES = (
     "eihrl_jax",
     "jax",
@@ -51,7 +53,7 @@ def _version(package: str) -> str | None:
 
 def _cpu_model() -> str:
     try:
-        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
+        lines = reading.read_text(pathlib.Path("/proc/cpuinfo")).splitlines()
     except OSError:
         return platform.processor()
     # Not on every processor: ARM's have no such line.

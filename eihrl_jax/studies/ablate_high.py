@@ -11,6 +11,7 @@ from eihrl_jax.drawing import curves
 from eihrl_jax.evaluation import paper, tables
 from eihrl_jax.mazes import suites
 from eihrl_jax.reporting import cached_runs, comparison
+from eihrl_jax.storage import writing
 from eihrl_jax.studies import ablation
 from eihrl_jax.training import high
 
@@ -101,7 +102,7 @@ def main(config: AblationConfig) -> None:
         cached_runs.evaluated(_evaluation(config, runs, variant))
 
     table = compare(config)
-    (config.out / "table.md").write_text(table)
+    writing.write_text(config.out / "table.md", table)
     print(table)
 
 

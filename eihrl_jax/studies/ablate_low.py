@@ -12,6 +12,7 @@ from eihrl_jax.config import changes, checks, limits, presets
 from eihrl_jax.config import low as low_config
 from eihrl_jax.drawing import curves
 from eihrl_jax.evaluation import tables
+from eihrl_jax.storage import writing
 from eihrl_jax.studies import ablation
 from eihrl_jax.training import low
 
@@ -69,7 +70,7 @@ def main(config: AblationConfig) -> None:
     """Trains what is missing, then compares what is there."""
     _runs(config).train(config.variants, low.train)
     table = compare(config)
-    (config.out / "table.md").write_text(table)
+    writing.write_text(config.out / "table.md", table)
     print(table)
 
 

@@ -10,6 +10,7 @@ from eihrl_jax.config import changes, limits, presets
 from eihrl_jax.config import higl as higl_config
 from eihrl_jax.drawing import curves
 from eihrl_jax.reporting import cached_runs
+from eihrl_jax.storage import reading, writing
 from eihrl_jax.training import baselines
 
 MAZE = """\
@@ -97,9 +98,9 @@ def main(config: SmallConfig) -> None:
     # As a file, so that the runs can also be continued and evaluated one by one.
     config.out.mkdir(parents=True, exist_ok=True)
     maze = config.out / f"{NAME}.txt"
-    if maze.exists() and maze.read_text() != MAZE:
+    if maze.exists() and reading.read_text(maze) != MAZE:
         raise base.UserError(f"{maze} is another maze than is trained in: name another --out")
-    maze.write_text(MAZE)
+    writing.write_text(maze, MAZE)
 
     runs = [
         options_of(config, method, seed)

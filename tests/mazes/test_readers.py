@@ -251,7 +251,7 @@ MALFORMED = [
     (YAML, {"a.pgm": b"text"}, {}, "no picture of kind PNG"),
     (YAML, {"a.pgm": b"GIF89a..."}, {}, "a picture of kind GIF"),
     (YAML, {"a.pgm": b"P5\n9 9\n255\n12"}, {}, "a damaged picture"),
-    (YAML, {"a.pgm": b""}, {}, "bytes of image 'a.pgm' = 0"),
+    (YAML, {"a.pgm": b""}, {}, "image 'a.pgm': no picture of kind"),
     (YAML, {"a.pgm": pgm(ROOM)}, {"cell_metres": 0.05}, "cell_metres = 0.05 must be at least"),
     (YAML, {"a.pgm": pgm(ROOM * 0)}, {}, "no free cell"),
     (YAML.replace("0.196", "0.8"), {"a.pgm": pgm(ROOM)}, {}, "free_thresh = 0.8 must be at most"),

@@ -134,3 +134,9 @@ def test_tables_come_as_markdown_too(sections):
         "**Rooms <9x9>**\n\n|  | success % |\n| --- | --- |\n| ours & theirs | ≤ 1 |\n"
         "| paper | 2 |\n"
     )
+
+
+def test_a_page_is_known_as_ours(tmp_path):
+    page.write(tmp_path / "report.html", "t", "lead", ())
+    (tmp_path / "other.html").write_text("<!doctype html>\n<title>precious</title>\n")
+    assert page.is_ours(tmp_path / "report.html") and not page.is_ours(tmp_path / "other.html")

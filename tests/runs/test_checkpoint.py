@@ -46,6 +46,14 @@ def assert_equal(found, expected):
         np.testing.assert_array_equal(left, right)
 
 
+@pytest.mark.parametrize("name", ["a [b]", "a\\b", "gs:", "no\udcffunicode"])
+def test_any_name_of_a_folder_will_do(tmp_path, name):
+    checkpoint.write(tmp_path / name / "c", {"w": np.arange(3.0)})
+    np.testing.assert_array_equal(checkpoint.read(tmp_path / name / "c")["w"], np.arange(3.0))
+    checkpoint.save(tmp_path / name / "run", 1, {"w": np.ones(2)})
+    assert checkpoint.restore(tmp_path / name / "run", {"w": np.zeros(2)})[0] == 1
+
+
 def test_state_comes_back_with_keys_optimiser_and_numbers(tmp_path, state):
     checkpoint.save(tmp_path, 7, state)
     step, found = checkpoint.restore(tmp_path, state)

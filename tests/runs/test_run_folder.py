@@ -4,6 +4,7 @@ import dataclasses
 import json
 import pathlib
 import platform
+import shutil
 
 import jax.numpy as jnp
 import pytest
@@ -153,15 +154,48 @@ def test_a_run_without_checkpoint_says_that_it_begins_anew(tmp_path, capsys):
     assert "has no checkpoint yet: the run begins anew" in capsys.readouterr().err
 
 
+def test_a_refused_resume_touches_nothing(tmp_path):
+    """Where checkpoints were removed the run would else lose its metrics, and begin anew."""
+    with create(tmp_path / "run") as run:
+        record(run, range(1, 4), save_at=(2,))
+    shutil.rmtree(tmp_path / "run" / "checkpoints")
+    before = snapshot(tmp_path)
+    with (
+        create(tmp_path / "run", resume=True) as run,
+        pytest.raises(base.UserError, match=r"checkpoints holds none, .* step 2; put it back"),
+    ):
+        run.restore(STATE)
+    assert snapshot(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", [".incomplete-config.json", "metrics.csv", ".lock", "config.json"])
+def test_what_a_planted_link_leads_to_stays(tmp_path, name):
+    with create(tmp_path / "run") as run:
+        record(run, range(1, 4), save_at=(2,))
+    link, precious = tmp_path / "run" / name, tmp_path / "precious"
+    precious.write_bytes(link.read_bytes() if link.exists() else b"precious")
+    before = precious.read_bytes()
+    link.unlink(missing_ok=True)
+    link.symlink_to(precious)
+    try:
+        with create(tmp_path / "run", resume=True) as run:
+            run.restore(STATE)
+            record(run, (3,), save_at=(3,))
+    except OSError as error:
+        assert error.filename and name == ".lock"
+    assert precious.read_bytes() == before
+
+
 def test_config_is_that_of_the_last_start(tmp_path):
     options = Config()
     for resume, learning_rate in ((False, options.learning_rate), (True, 0.5)):
-        run_folder.RunFolder.create(
+        with run_folder.RunFolder.create(
             tmp_path / "run",
             Config(learning_rate=learning_rate),
             resume=resume,
             may_change={"learning_rate"},
-        ).close()
+        ) as run:
+            run.restore(STATE)
     assert json.loads((tmp_path / "run" / "config.json").read_text())["learning_rate"] == 0.5
 
 
@@ -225,7 +259,7 @@ def test_metrics_that_came_later_are_kept_apart_by_resume(tmp_path):
 def test_damaged_config_is_named(tmp_path):
     create(tmp_path / "run").close()
     (tmp_path / "run" / "config.json").write_text("{")
-    with pytest.raises(base.UserError, match=r"config.json is damaged"):
+    with pytest.raises(base.UserError, match=r"config.json is no JSON"):
         create(tmp_path / "run", resume=True)
 
 

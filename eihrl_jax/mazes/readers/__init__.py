@@ -4,10 +4,11 @@ import pathlib
 import re
 
 from eihrl_jax import base
-from eihrl_jax.config import reading
+from eihrl_jax.config import reading as reading_config
 from eihrl_jax.mazes import parsing
 from eihrl_jax.mazes.readers import levels, lists, moving_ai, pictures
 from eihrl_jax.mazes.readers.plan import Plan, solver_limit
+from eihrl_jax.storage import reading
 
 __all__ = ["OURS", "Plan", "exists", "read", "solver_limit"]
 
@@ -20,7 +21,7 @@ MAX_BYTES = 4 * parsing.MAX_SIZE**2
 _YAML = re.compile(r"(\s*#[^\n]*\n|\s*\n)*(---|%YAML|!|&|[A-Za-z_]\w*[ \t]*:([ \t]|\n|$))")
 
 
-def read(path: pathlib.Path, options: reading.ReadingConfig, name: str) -> Plan:
+def read(path: pathlib.Path, options: reading_config.ReadingConfig, name: str) -> Plan:
     """Reads the plan of a maze from a file of any kind that is known.
 
     Args:
@@ -51,7 +52,9 @@ def exists(path: pathlib.Path) -> bool:
         return False
 
 
-def _of_text(text: str, path: pathlib.Path, options: reading.ReadingConfig, name: str) -> Plan:
+def _of_text(
+    text: str, path: pathlib.Path, options: reading_config.ReadingConfig, name: str
+) -> Plan:
     """Reads a text; what looks like nothing else is ours, whose messages fit any text."""
     first = text.lstrip()[:1]
     if first == "{" or (first == "[" and "agent_pos" not in text):
@@ -81,17 +84,15 @@ def _bytes(path: pathlib.Path, name: str) -> bytes:
     try:
         if not path.is_file():
             raise base.UserError(f"{name}: {'not a file' if path.exists() else 'no such file'}")
-        # Asked before it is read: any file may have been named by mistake.
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            start = file.read(16)
-        is_picture = any(start.startswith(first) for first in pictures.FORMATS)
-        limit = 8 * pictures.MAX_PIXELS if is_picture else MAX_BYTES
-        if size > limit:
-            raise base.UserError(f"{name}: {size} bytes, at most {limit}")
-        return path.read_bytes()
+        data = reading.read_bytes(path, limit=pictures.MAX_BYTES)
     except OSError as error:
         raise base.UserError(f"{name}: {error.strerror}") from error
+
+    # What is no picture holds a character or a few for each cell.
+    is_picture = any(data.startswith(first) for first in pictures.FORMATS)
+    if not is_picture and len(data) > MAX_BYTES:
+        raise base.UserError(f"{name}: {len(data)} bytes, at most {MAX_BYTES}")
+    return data
 
 
 def _text(data: bytes, name: str) -> str:

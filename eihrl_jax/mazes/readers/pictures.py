@@ -23,12 +23,17 @@ from PIL import Image
 from scipy import ndimage
 
 from eihrl_jax import base
-from eihrl_jax.config import checks, reading
+from eihrl_jax.config import checks
+from eihrl_jax.config import reading as reading_config
 from eihrl_jax.mazes import parsing
 from eihrl_jax.mazes.readers import plan as plan_lib
+from eihrl_jax.storage import reading
 
 MAX_PIXELS = 2**24
 """Most pixels of a picture."""
+
+MAX_BYTES = 8 * MAX_PIXELS
+"""Largest file of a picture."""
 
 MAX_YAML_BYTES = 2**16
 
@@ -80,7 +85,7 @@ class _Thresholds(NamedTuple):
     negate: bool = False
 
 
-def of_picture(data: bytes, options: reading.ReadingConfig, name: str) -> plan_lib.Plan:
+def of_picture(data: bytes, options: reading_config.ReadingConfig, name: str) -> plan_lib.Plan:
     """Reads a picture: what is dark is wall."""
     occupied = _OCCUPIED if options.occupied is None else options.occupied
     free = _FREE if options.free is None else options.free
@@ -89,7 +94,7 @@ def of_picture(data: bytes, options: reading.ReadingConfig, name: str) -> plan_l
 
 
 def of_ros(
-    text: str, path: pathlib.Path, options: reading.ReadingConfig, name: str
+    text: str, path: pathlib.Path, options: reading_config.ReadingConfig, name: str
 ) -> plan_lib.Plan:
     """Reads a map of ROS's map_server; its picture lies where the YAML says."""
     fields = _yaml(text, name)
@@ -118,9 +123,7 @@ def of_ros(
 
     beside = path.parent / image
     try:
-        size = beside.stat().st_size
-        checks.in_range(f"{name}: bytes of image {image!r}", size, 1, 8 * MAX_PIXELS)
-        data = beside.read_bytes()
+        data = reading.read_bytes(beside, limit=MAX_BYTES)
     except OSError as error:
         raise base.UserError(f"{name}: image {image!r}: {error.strerror}") from None
     frame = _Frame(resolution, (x, y, yaw))
@@ -150,7 +153,7 @@ def _of_pixels(
     data: bytes,
     frame: _Frame,
     thresholds: _Thresholds,
-    options: reading.ReadingConfig,
+    options: reading_config.ReadingConfig,
     name: str,
 ) -> plan_lib.Plan:
     """Turns a picture into cells."""

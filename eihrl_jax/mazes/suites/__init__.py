@@ -6,12 +6,12 @@ Layouts stand in our legend (see `parsing`) in a TOML file per suite; perfect ma
 import dataclasses
 import functools
 import pathlib
-import tomllib
 from collections.abc import Collection, Mapping
 from typing import Any
 
 from eihrl_jax.mazes import layouts, perfect, readers
 from eihrl_jax.mazes.suites import development
+from eihrl_jax.storage import reading
 
 NUM_PERFECT = 10
 """Perfect mazes of each size; their seeds are 0 and up."""
@@ -61,7 +61,7 @@ def mazes(suite: str) -> Mapping[str, Named]:
     if suite == DEVELOPMENT:
         return _of_development()
 
-    table = tomllib.loads((pathlib.Path(__file__).parent / f"{suite}.toml").read_text("utf-8"))
+    table = reading.read_toml(pathlib.Path(__file__).parent / f"{suite}.toml")
     named: dict[str, Named] = {}
     for name, entry in table["mazes"].items():
         texts = _tasks(entry) if "tasks" in entry else {"": entry["text"]}

@@ -1,0 +1,112 @@
+"""Files of strangers are read within limits, and our own are written whole and through no link."""
+
+import errno
+import os
+
+import pytest
+
+from eihrl_jax import base
+from eihrl_jax.storage import reading, writing
+
+
+def test_bytes_and_texts_come_back(tmp_path):
+    path = tmp_path / "a.txt"
+    writing.write_text(path, "Größe\n")
+    assert reading.read_text(path) == "Größe\n"
+    path.write_bytes(b"\xef\xbb\xbfmarked")
+    assert reading.read_text(path, limit=9) == "marked"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_only_regular_files_are_read(tmp_path, make):
+    make(tmp_path / "odd")
+    with pytest.raises(base.UserError, match=r"odd is no regular file$"):
+        reading.read_bytes(tmp_path / "odd")
+
+
+def test_devices_and_large_files_are_refused(tmp_path):
+    with pytest.raises(base.UserError, match="/dev/zero is no regular file"):
+        reading.read_bytes(tmp_path / "/dev/zero")
+    path = tmp_path / "large"
+    with path.open("wb") as file:
+        file.truncate(10**12)
+    with pytest.raises(base.UserError, match="large has 1000000000000 bytes, at most 100"):
+        reading.read_bytes(path, limit=100)
+    with pytest.raises(base.UserError, match="at most 10$"):
+        reading.read_bytes(tmp_path / "/proc/self/maps", limit=10)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{"a": ', "f is no JSON"),
+        ("[" * 100 + "]" * 100, "f is nested more than 64 deep"),
+        ("[" * 100_000 + "]" * 100_000, "f is nested more than 64 deep"),
+        ("9" * 400, f"f: an integer is beyond {2**63 - 1}"),
+        ("9" * 5_000, "f is no JSON"),
+        ('[{"a": -9223372036854775808}]', "f: an integer is beyond"),
+    ],
+)
+def test_odd_json_is_told_in_one_line(text, message):
+    with pytest.raises(base.UserError, match=message) as error:
+        reading.parse_json(text, "f")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"a = ", "is no TOML"),
+        (b"\xff", "is no text in UTF-8: byte 0"),
+        (b"a = " + b"[" * 2_000 + b"]" * 2_000, "is nested more than 64 deep"),
+        (b"a = " + b"9" * 400, "an integer is beyond"),
+    ],
+)
+def test_odd_toml_is_told_in_one_line(tmp_path, data, message):
+    path = tmp_path / "f.toml"
+    path.write_bytes(data)
+    with pytest.raises(base.UserError, match=message):
+        reading.read_toml(path)
+
+
+def test_json_and_toml_that_are_sound(tmp_path):
+    assert reading.parse_json('{"a": [1, 2.5, null]}', "f") == {"a": [1, 2.5, None]}
+    path = tmp_path / "f.toml"
+    path.write_bytes(b'a = "b"\r\n[c]\r\nd = 1\r\n')
+    assert reading.read_toml(path) == {"a": "b", "c": {"d": 1}}
+
+
+@pytest.mark.parametrize("name", ["a", f"{writing.TEMPORARY}a"])
+def test_what_a_planted_link_leads_to_stays(tmp_path, name):
+    precious = tmp_path / "precious"
+    precious.write_text("precious")
+    (tmp_path / name).symlink_to(precious)
+    writing.write_text(tmp_path / "a", "new")
+    assert (tmp_path / "a").read_text() == "new" and not (tmp_path / "a").is_symlink()
+    assert precious.read_text() == "precious"
+
+
+def test_nothing_is_appended_to_what_a_link_leads_to(tmp_path):
+    (tmp_path / "precious").write_text("precious")
+    (tmp_path / "log").symlink_to(tmp_path / "precious")
+    with pytest.raises(OSError, match="log") as error:
+        writing.append(tmp_path / "log")
+    assert error.value.errno == errno.ELOOP
+    with writing.append(tmp_path / "new") as file:
+        file.write(b"row\n")
+    assert (tmp_path / "new").read_text() == "row\n"
+
+
+def test_a_file_that_cannot_be_finished_leaves_the_old_one(tmp_path):
+    path = tmp_path / "a"
+    path.write_text("old")
+
+    def write_half():
+        with writing.new_file(path) as file:
+            file.write(b"ne")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(OSError, match="No space left on device: '.*a'"):
+        write_half()
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
