@@ -5,7 +5,8 @@ up, so row `i` and column `j` of the text lie around ((j + 1/2) * CELL, -(i + 1/
 are in MuJoCo units, called units.
 """
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Iterable, Mapping
 from typing import Generic, Literal, Protocol, TypeAlias, TypeVar, get_args, runtime_checkable
 
 import jax.numpy as jnp
@@ -60,6 +61,16 @@ class UserError(ValueError):
 
     The command line prints it without a traceback and exits with 2.
     """
+
+
+def did_you_mean(word: str, names: Iterable[str]) -> str:
+    """Returns what may have been meant by a name that there isn't, "" if nothing is like it.
+
+    >>> did_you_mean("spirel", ["random", "spiral"])
+    'did you mean spiral? '
+    """
+    near = difflib.get_close_matches(word, names, n=1)
+    return f"did you mean {near[0]}? " if near else ""
 
 
 class Stopped(KeyboardInterrupt):

@@ -5,6 +5,7 @@
 
 import difflib
 import functools
+import io
 import os
 import pathlib
 import shlex
@@ -169,6 +170,18 @@ def maze() -> Command:
     return Command(main, maze_config.MazeConfig)
 
 
+def list_() -> Command:
+    """Lists what is shipped: policies, robots, mazes and suites of mazes."""
+    from eihrl_jax.config import catalogue as catalogue_config
+    from eihrl_jax.evaluation import tables
+    from eihrl_jax.reporting import catalogue
+
+    def main(options: catalogue_config.ListConfig) -> None:
+        tables.show(tables.on_terminal(table) for table in catalogue.listed(options))
+
+    return Command(main, catalogue_config.ListConfig)
+
+
 def demo() -> Command:
     """Trains a high level, then evaluates the whole hierarchy in four mazes."""
     from eihrl_jax.studies import demo as demo_lib
@@ -254,7 +267,7 @@ def kill_resume() -> Command:
 
 
 COMMANDS: dict[str, Make] = {
-    make.__name__: make
+    make.__name__.removesuffix("_"): make
     for make in (
         train_high,
         train_low,
@@ -266,6 +279,7 @@ COMMANDS: dict[str, Make] = {
         robot,
         report,
         maze,
+        list_,
         demo,
         value_gap,
         benchmark,
@@ -282,29 +296,63 @@ COMMANDS: dict[str, Make] = {
 """By name; `eihrl` writes a hyphen for an underscore."""
 
 
-def _ends_with_its_reader(call: Callable[P, None]) -> Callable[P, None]:
-    """Ends the process quietly when nobody reads its output any more, as in `eihrl | head`."""
+class _Output(io.TextIOWrapper):
+    """Standard output that is left alone when its reader goes, as in `eihrl evaluate | head`.
+
+    What computes goes on, and its results are written; the rest of its output goes nowhere.
+    """
+
+    is_read = True
+
+    def write(self, text: str) -> int:
+        """Writes a text, as long as somebody reads."""
+        try:
+            return super().write(text)
+        except BrokenPipeError:
+            self._go_on()
+            return len(text)
+
+    def flush(self) -> None:
+        """Hands on what is written, as long as somebody reads."""
+        try:
+            super().flush()
+        except BrokenPipeError:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Sends to nowhere what is still to be written, what is held back included."""
+        self.is_read = False
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+
+
+def _outlives_its_reader(call: Callable[P, None]) -> Callable[P, None]:
+    """Lets a command end as it does when nobody reads its output any more, but for its code."""
 
     @functools.wraps(call)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> None:
+        if sys.stdout is not sys.__stdout__ or sys.stdout is None:
+            return call(*args, **kwargs)  # it has been replaced already: there is no pipe
+        old = sys.stdout
+        sys.stdout = output = _Output(
+            old.buffer, encoding=old.encoding, errors=old.errors, line_buffering=old.isatty()
+        )
         try:
             call(*args, **kwargs)
-            sys.stdout.flush()
-        except BrokenPipeError:
-            # Python flushes once more at its end, which must not fail again.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            sys.exit(141)  # 128 + SIGPIPE, as shells have it
+        finally:
+            output.flush()
+            if not output.is_read:
+                sys.exit(141)  # 128 + SIGPIPE, as shells have it
 
     return wrapped
 
 
-@_ends_with_its_reader
+@_outlives_its_reader
 def run(name: str) -> None:
     """Runs a command with the arguments of this process, as `python -m experiments.<name>`."""
     _run(name, sys.argv[1:], f"python -m experiments.{name}")
 
 
-@_ends_with_its_reader
+@_outlives_its_reader
 def main(argv: Sequence[str] | None = None) -> None:
     """Runs `eihrl <command> [options]`, or lists the commands."""
     # No parser for so little: all options are those of the commands, see `shell`.

@@ -5,7 +5,6 @@ Exit codes: 0 done, 2 the user's mistake, 130 interrupted with Ctrl-C.
 
 import contextlib
 import dataclasses
-import difflib
 import errno
 import functools
 import io
@@ -159,8 +158,8 @@ def _in_full(argv: Sequence[str], options: Sequence[str]) -> list[str]:
 def _hint(message: str, options: Sequence[str]) -> str:
     """Returns what may have been meant by an option that there isn't, if something is like it."""
     unknown = re.search(r"Unrecognized options: (--[\w.-]+)", message)
-    near = difflib.get_close_matches(unknown[1], options, n=1) if unknown else []
-    return f"; did you mean {near[0]}?" if near else ""
+    hint = base.did_you_mean(unknown[1], options) if unknown else ""
+    return f"; {hint.strip()}" if hint else ""
 
 
 def _chosen(presets: Mapping[str, object], arguments: list[str], wanted: str) -> str:
@@ -171,7 +170,8 @@ def _chosen(presets: Mapping[str, object], arguments: list[str], wanted: str) ->
         if option == f"--{wanted}":
             name = value or following
     if name not in presets:
-        raise base.UserError(f"--{wanted} {name!r} must be one of {', '.join(presets)}")
+        hint = base.did_you_mean(name, presets)
+        raise base.UserError(f"--{wanted} {name!r}: {hint}must be one of {', '.join(presets)}")
     return name
 
 

@@ -42,7 +42,8 @@ class EvaluateConfig:
         them, such as jaxued-labyrinth, or text files; default: Table 1 of the paper.
       robot: point, ant, swimmer, humanoid or description files (docs/robots.md).
       movement: oracle: the simulator moves the torso; full: the robot itself, with a low level.
-      high: run folders, policy folders or names of shipped policies; uniform: uniform directions;
+      high: run folders, policy folders or names of shipped policies, such as best-u-0 (all of them:
+        `eihrl list`); uniform: uniform directions;
         frontier: the nearest cell that hasn't been seen, on the same map as network kind search;
         shortest: the shortest way to the nearest goal, as the map, which it knows, has it.
         A baseline's run folder stands for the whole baseline, which has full movement only.

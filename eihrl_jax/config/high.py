@@ -147,7 +147,7 @@ class HighConfig:
     """A training run of the high level.
 
     Attributes:
-      preset: name of the preset that the defaults came from.
+      preset: where the defaults come from, best or paper.
       seed: of every random number of the run.
       run: run folder, made by the run.
       resume: continue the run that the folder holds.

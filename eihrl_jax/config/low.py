@@ -98,7 +98,7 @@ class LowConfig:
     """A training run of the low level.
 
     Attributes:
-      preset: name of the preset that the defaults came from.
+      preset: where the defaults come from: paper, best, point, swimmer or humanoid.
       seed: of every random number of the run.
       run: run folder, made by the run.
       resume: continue the run that the folder holds.

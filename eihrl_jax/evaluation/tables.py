@@ -39,11 +39,13 @@ class Table:
       title: what stands above it.
       header: names of the columns.
       rows: one text per column; a row whose first text is indented belongs to the one above it.
+      num_words: columns of words, the first ones, which stand to the left; the others are numbers.
     """
 
     title: str
     header: list[str]
     rows: list[list[str]]
+    num_words: int = 1
 
     def markdown(self) -> str:
         """Returns the table as Markdown, its title in bold."""
@@ -271,7 +273,7 @@ def on_terminal(table: Table) -> rich.table.Table:
 
     # Numbers are read from the right, and a row of a group's details steps back.
     for i, name in enumerate(table.header):
-        shown.add_column(name, justify="left" if i == 0 else "right", no_wrap=True)
+        shown.add_column(name, justify="left" if i < table.num_words else "right", no_wrap=True)
     for row in table.rows:
         shown.add_row(*row, style="dim" if row[0].startswith("  ") else None)
     return shown

@@ -94,7 +94,8 @@ def read(path: str | pathlib.Path, options: reading.ReadingConfig | None = None)
         raise base.UserError(f"{maze}: a suite of several mazes, name one of {mazes}")
     if not readers.exists(pathlib.Path(path)):
         known = f"one of {', '.join(NAMES)}, nor a maze of {', '.join(suites.NAMES[1:])}"
-        raise base.UserError(f"{maze}: neither a file nor {known}")
+        hint = base.did_you_mean(str(path), suites.all_names())
+        raise base.UserError(f"{maze}: neither a file nor {known}; {hint}".rstrip("; "))
     return readers.read(pathlib.Path(path), options or reading.ReadingConfig(), maze)
 
 

@@ -17,7 +17,14 @@ ASSETS = pathlib.Path(__file__).parent / "assets"
 SUFFIX = ".toml"
 """How the name of a description ends."""
 
-_ROBOTS = {module.ROBOT.name: module.ROBOT for module in (point, ant, swimmer, humanoid, go1)}
+_MODULES = (point, ant, swimmer, humanoid, go1)
+_ROBOTS = {module.ROBOT.name: module.ROBOT for module in _MODULES}
+
+DESCRIPTIONS = {
+    module.ROBOT.name: (module.__doc__ or "").partition(": ")[2].partition(".\n")[0].rstrip(".")
+    for module in _MODULES
+}
+"""What each of them is, in a few words."""
 
 NAMES = tuple(_ROBOTS)
 """The robots that come with the package; each has its own module."""
@@ -39,7 +46,8 @@ def load(name: str) -> Robot:
         return _ROBOTS[name]
     if not name.endswith(SUFFIX):
         raise base.UserError(
-            f"robot {name!r} is unknown; choose one of {', '.join(NAMES)}, "
+            f"robot {name!r} is unknown; {base.did_you_mean(name, NAMES)}choose one of "
+            f"{', '.join(NAMES)}, "
             f"or name a description that ends in {SUFFIX}"
         )
 

@@ -6,7 +6,6 @@ steps. Shipped ones lie in `eihrl_jax/pretrained/<name>/<kind>`, those of a run 
 and until that is there in `<run>/latest`.
 """
 
-import difflib
 import json
 import pathlib
 import sys
@@ -123,8 +122,7 @@ def find(name: str | pathlib.Path, kind: Kind) -> pathlib.Path:
     if (path / "config.json").is_file():
         raise base.UserError(f"{path} holds no policy yet: its training has just begun")
     names = shipped(kind)
-    near = difflib.get_close_matches(str(name), names, n=1)
-    hint = f"did you mean {near[0]}? " if near else ""
+    hint = base.did_you_mean(str(name), names)
     raise base.UserError(
         f"{name} is neither a policy nor a finished run; {hint}shipped {_NOUNS[kind]} names: "
         + (", ".join(names) or "none")

@@ -1,13 +1,16 @@
 """The table of commands: the same ones under both names, listed without JAX, helped by hints."""
 
 import pathlib
+import re
 import subprocess
 import sys
 
 import pytest
 
 import eihrl_jax
+from eihrl_jax import mazes, robots
 from eihrl_jax.cli import commands
+from eihrl_jax.runs import policies
 
 EXPERIMENTS = pathlib.Path(__file__).parents[2] / "experiments"
 EARLIER_NAMES = {"compare_peers"}
@@ -30,6 +33,26 @@ def test_help_lists_every_command_and_says_what_it_does(capsys):
         assert make.__doc__ is not None
         assert line.endswith(make.__doc__.strip())
         assert len(line) <= 110
+
+
+def test_choices_of_presets_stand_in_the_help_text(capsys):
+    for name in ("train_high", "train_low", "train_baseline"):
+        with pytest.raises(SystemExit):
+            commands.main([name, "--help"])
+        words = set(re.findall(r"[a-z]+", capsys.readouterr().out))
+        assert set(commands.COMMANDS[name]().presets) <= words
+
+
+def test_what_is_shipped_is_listed(capsys):
+    commands.main(["list"])
+    lines = capsys.readouterr().out.splitlines()
+    firsts = {line.split()[0]: line for line in lines if line.split()}
+    names = [*policies.shipped("low"), *robots.NAMES, *mazes.NAMES, *mazes.suites.NAMES]
+    assert set(names) <= firsts.keys()
+    assert "best-u-0 to 4" in firsts["best-u-0"] and "sparse reward" in firsts["best-u-0"]
+    assert "perfect-19-0" in firsts["perfect-19"]
+    commands.main(["list", "--what", "robots"])
+    assert "best-u-0" not in capsys.readouterr().out
 
 
 def test_version(capsys):
@@ -80,3 +103,15 @@ def test_who_stops_reading_ends_a_command_without_a_traceback(code):
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 141
+
+
+def test_results_are_written_though_nobody_reads_the_output(tmp_path):
+    words = ["maze", "u", "--save", str(tmp_path / "u.txt")]
+    with subprocess.Popen(
+        [sys.executable, "-m", "eihrl_jax.cli", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 141 and (tmp_path / "u.txt").exists()

@@ -63,7 +63,10 @@ def test_a_suite_is_no_maze_and_no_maze_comes_twice():
         mazes.load("ogbench")
     with pytest.raises(base.UserError, match="second one called 'jaxued-labyrinth'"):
         mazes.load_all(["jaxued", "jaxued-labyrinth"])
-    with pytest.raises(base.UserError, match="'jaxued-labyrinth-9': neither a file nor one of"):
+    with pytest.raises(
+        base.UserError,
+        match="'jaxued-labyrinth-9': neither a file nor one of.*; did you mean jaxued-labyrinth",
+    ):
         mazes.load("jaxued-labyrinth-9")
 
 

@@ -85,6 +85,11 @@ def find(name: str) -> Named | None:
     return None
 
 
+def all_names() -> list[str]:
+    """Returns the names of all suites and of all their mazes."""
+    return [*NAMES, *(name for suite in NAMES for name in mazes(suite))]
+
+
 def complete(names: Collection[str]) -> dict[str, list[str]]:
     """Returns the suites all of whose mazes are among some names, with the names of their mazes."""
     begun = [s for s in NAMES if s == "paper" or any(name.startswith(f"{s}-") for name in names)]
