@@ -1,6 +1,5 @@
 """What is shipped, by name: policies, robots, mazes and suites, as tables."""
 
-import json
 import re
 from collections.abc import Callable
 
@@ -43,7 +42,7 @@ def _policies() -> tables.Table:
 
 def _about(name: str, kind: policies.Kind) -> list[str]:
     """Returns robot, maze and nature of a policy."""
-    meta = json.loads((policies.PRETRAINED / name / kind / "meta.json").read_text())
+    meta = policies.read_meta(policies.PRETRAINED / name / kind)
     robot, maze = str(meta.get("robot", "-")), str(meta.get("maze", "-"))
     if kind == "low":
         return [robot, "the plane", f"DroQ, {meta.get('num_updates', 0):,} updates"]

@@ -77,7 +77,7 @@ def load(path: pathlib.Path, *, kind: Kind, robot: str | None = None) -> tuple[b
     Raises:
       UserError: it is no policy, damaged, or of another level or robot.
     """
-    meta = _read_meta(path)
+    meta = read_meta(path)
     if meta["kind"] != kind:
         raise base.UserError(f"{path} is a {_NOUNS[meta['kind']]}, expected a {_NOUNS[kind]}")
     if robot is not None and meta.get("robot") != robot:
@@ -136,10 +136,15 @@ def kind_of(name: str | pathlib.Path) -> Kind | None:
       UserError: it holds a damaged one.
     """
     folder = _first(name, _NOUNS)
-    return None if folder is None else _read_meta(folder)["kind"]
+    return None if folder is None else read_meta(folder)["kind"]
 
 
-def _read_meta(path: pathlib.Path) -> Meta:
+def read_meta(path: pathlib.Path) -> Meta:
+    """Returns what is told about the policy in a folder.
+
+    Raises:
+      UserError: it can't be read.
+    """
     return json.loads(checkpoint.read_file(path, "meta.json"))
 
 
