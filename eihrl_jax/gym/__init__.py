@@ -16,12 +16,24 @@ except ImportError as error:
 
 from eihrl_jax import mazes, robots
 from eihrl_jax.gym import forks
+from eihrl_jax.gym.high_level import HighLevelEnv, HighLevelVectorEnv
 from eihrl_jax.gym.maze import MazeEnv, MazeVectorEnv
 
-__all__ = ["MAZE_ID", "MazeEnv", "MazeVectorEnv", "register"]
+__all__ = [
+    "HIGH_LEVEL_ID",
+    "MAZE_ID",
+    "HighLevelEnv",
+    "HighLevelVectorEnv",
+    "MazeEnv",
+    "MazeVectorEnv",
+    "register",
+]
 
 MAZE_ID = "eihrl_jax/Maze-v0"
 """Any robot in any maze, whose names are arguments."""
+
+HIGH_LEVEL_ID = "eihrl_jax/HighLevel-v0"
+"""The same by decisions: what learns here is a high level."""
 
 
 def register() -> None:
@@ -40,6 +52,11 @@ def register() -> None:
             vector_entry_point="eihrl_jax.gym.maze:MazeVectorEnv",
             kwargs=options,
         )
+    gymnasium.register(
+        HIGH_LEVEL_ID,
+        entry_point="eihrl_jax.gym.high_level:HighLevelEnv",
+        vector_entry_point="eihrl_jax.gym.high_level:HighLevelVectorEnv",
+    )
 
 
 register()

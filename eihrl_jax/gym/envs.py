@@ -109,7 +109,7 @@ class ParallelEnv(vector.VectorEnv[Any, Any, np.ndarray]):
         modes = {mode.value: mode for mode in Mode}
         value = autoreset_mode.value if isinstance(autoreset_mode, Mode) else autoreset_mode
         checks.one_of("autoreset_mode", value, modes)
-        self.num_envs = whole("num_envs", num_envs, _MAX_ENVS)
+        self.num_envs = places.whole("num_envs", num_envs, _MAX_ENVS)
         self.render_mode = _checked(render_mode)
 
         self.single_observation_space, self.single_action_space = task.spaces()
@@ -189,18 +189,6 @@ class ParallelEnv(vector.VectorEnv[Any, Any, np.ndarray]):
         if len(seed) != self.num_envs:
             raise base.UserError(f"seed: {len(seed)} of them for {self.num_envs} rows")
         return [int(each) for each in seed]
-
-
-def whole(name: str, value: object, most: int) -> int:
-    """Returns a whole number from 1 on.
-
-    Raises:
-      base.UserError: it is none, or more than `most`.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise base.UserError(f"{name} = {value!r} must be a whole number")
-    checks.in_range(name, int(value), 1, most)
-    return int(value)
 
 
 def _checked(render_mode: str | None) -> str | None:

@@ -241,17 +241,21 @@ class Rows:
         """Returns actions as an array, [N, …]."""
         _, space = self.task.spaces()
         shape = (self.num, *cast(tuple[int, ...], space.shape))
+        is_index = isinstance(space, spaces.Discrete)
+        kind, words = (np.int64, "whole numbers") if is_index else (np.float64, "numbers")
         try:
             array = np.asarray(action)
-            is_number = np.can_cast(array.dtype, np.float64, "same_kind")
-        except (TypeError, ValueError):
-            raise base.UserError(f"action {action!r} is no array of numbers") from None
-        if not is_number:
-            raise base.UserError(f"action of type {array.dtype} must be numbers")
+        except ValueError:  # rows of different lengths
+            raise base.UserError(f"action {action!r} is no array") from None
+
+        if not np.can_cast(array.dtype, kind, "same_kind"):
+            raise base.UserError(f"action of type {array.dtype} must be {words}")
         if array.shape != shape:
             shown, wanted = (array.shape[1:], shape[1:]) if self.num == 1 else (array.shape, shape)
             raise base.UserError(f"action of shape {shown} must have shape {wanted}")
-        return array.astype(cast(np.dtype, space.dtype))
+        if is_index and not ((array >= 0) & (array < space.n)).all():
+            raise base.UserError(f"action {array.tolist()} must be from 0 to {space.n - 1}")
+        return array.astype(np.int32 if is_index else np.float32)
 
     def _mask(self, options: places.Options) -> np.ndarray | None:
         """Returns which rows a reset is for, None for all."""

@@ -31,12 +31,10 @@ import numpy as np
 from gymnasium import spaces, vector
 from jaxtyping import Array, Float, Int
 
-from eihrl_jax import base, mazes, robots
-from eihrl_jax.config import checks, limits
+from eihrl_jax import base, robots
+from eihrl_jax.config import checks
 from eihrl_jax.envs import body, goal_maze, task
 from eihrl_jax.gym import envs, episodes, places
-from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 
 Form = Literal["flat", "goal"]
@@ -66,7 +64,7 @@ class MazeTask:
         checks.one_of("reward", self.reward_kind, base.REWARDS)
         checks.one_of("engine", self.engine, base.ENGINES)
         checks.one_of("observation", self.observation, get_args(Form))
-        _engine(self.robot, self.engine)  # says what is wrong with a robot
+        places.engine_of(self.robot, self.engine)  # says what is wrong with a robot
         if self.observation == "goal":
             self._check_goal()
 
@@ -76,7 +74,7 @@ class MazeTask:
 
     def environment(self) -> goal_maze.GoalMaze:
         """Builds the environment."""
-        physics = _engine(self.robot, self.engine)
+        physics = places.engine_of(self.robot, self.engine)
         return goal_maze.GoalMaze(physics, self.maze.stacked(), reward=self.reward_kind)
 
     def see(self, obs: base.GoalObs) -> Array | dict[str, Array]:
@@ -164,12 +162,6 @@ class MazeTask:
 
 
 @functools.lru_cache(maxsize=16)
-def _engine(robot: robot_lib.Robot, engine: base.EngineName) -> engine_lib.Engine:
-    """Returns the engine of a robot, which environments share: it keeps nothing of a step."""
-    return engines.make(robot, engine)
-
-
-@functools.lru_cache(maxsize=16)
 def _regions(maze: places.HostMaze) -> np.ndarray:
     """Returns the numbers of a maze's regions."""
     return maze.regions()
@@ -178,7 +170,7 @@ def _regions(maze: places.HostMaze) -> np.ndarray:
 @functools.lru_cache(maxsize=16)
 def _spaces(task: MazeTask) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
     """Returns the spaces of a task."""
-    model = _engine(task.robot, task.engine).model
+    model = places.engine_of(task.robot, task.engine).model
     side_xy = np.abs(task.centre_xy)
     # Where a simulation counts as broken down; Gymnasium wants bounds that are finite.
     body_high = np.full(model.nq - 2 + model.nv, body.MAX_VELOCITY, np.float32)
@@ -283,12 +275,9 @@ def _make(
     observation: str,
 ) -> MazeTask:
     """Builds the task; the words are checked by it."""
-    if num_decisions is not None:
-        num_decisions = envs.whole("num_decisions", num_decisions, limits.MAX_DECISIONS)
-    loaded = mazes.load(os.fspath(maze), num_decisions=num_decisions, on_host=True)
     return MazeTask(
         robots.load(robot),
-        places.HostMaze(loaded),
+        places.HostMaze.load(maze, num_decisions),
         cast(base.Reward, reward),
         cast(base.EngineName, engine),
         cast(Form, observation),

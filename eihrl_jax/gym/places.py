@@ -1,5 +1,7 @@
 """Mazes before JAX is started, and what `reset` may be asked for: where to start, where to go."""
 
+import functools
+import os
 from typing import Any, TypeAlias
 
 import jax
@@ -9,9 +11,13 @@ from flax import struct
 from jaxtyping import Array, Int
 
 from eihrl_jax import base, mazes
+from eihrl_jax.config import checks, limits
 from eihrl_jax.envs import task
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import paths
+from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import engines
+from eihrl_jax.robots import robot as robot_lib
 
 START, GOAL, MASK = "start_cell", "goal_cell", "reset_mask"
 """Options of `reset`."""
@@ -46,6 +52,17 @@ class HostMaze:
         self.maze = maze
         leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(maze)]
         self._content = tuple((leaf.shape, leaf.tobytes()) for leaf in leaves)
+
+    @classmethod
+    def load(cls, maze: str | os.PathLike[str], num_decisions: int | None) -> "HostMaze":
+        """Loads a maze by its name or from a file, see `mazes.load`.
+
+        Raises:
+          base.UserError: it can't be loaded, or the time limit isn't as it should be.
+        """
+        if num_decisions is not None:
+            num_decisions = whole("num_decisions", num_decisions, limits.MAX_DECISIONS)
+        return cls(mazes.load(os.fspath(maze), num_decisions=num_decisions, on_host=True))
 
     def __eq__(self, other: object) -> bool:
         """Returns whether the other one has the same content."""
@@ -87,6 +104,28 @@ class HostMaze:
         """Numbers the goals there are: a region has one number, every other cell one of its own."""
         goal = np.asarray(self.maze.goal)
         return np.where(goal > 0, -goal, np.arange(goal.size).reshape(goal.shape))
+
+
+@functools.lru_cache(maxsize=16)
+def engine_of(robot: robot_lib.Robot, engine: base.EngineName) -> engine_lib.Engine:
+    """Returns the engine of a robot, which environments share: it keeps nothing of a step.
+
+    Raises:
+      base.UserError: the robot is of no use.
+    """
+    return engines.make(robot, engine)
+
+
+def whole(name: str, value: object, most: int) -> int:
+    """Returns a whole number from 1 on.
+
+    Raises:
+      base.UserError: it is none, or more than `most`.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise base.UserError(f"{name} = {value!r} must be a whole number")
+    checks.in_range(name, int(value), 1, most)
+    return int(value)
 
 
 def check_options(options: object, known: tuple[str, ...]) -> Options:

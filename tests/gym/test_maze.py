@@ -40,7 +40,7 @@ def test_gymnasium_finds_nothing_wrong(options):
 
 def test_ids_are_there_for_every_robot_and_maze_of_the_paper():
     ids = [name for name in gymnasium.registry if name.startswith("eihrl_jax/")]
-    assert len(ids) == len(robots.NAMES) * len(mazes.NAMES) + 1
+    assert len(ids) == len(robots.NAMES) * len(mazes.NAMES) + 2
     env = gymnasium.make("eihrl_jax.gym:eihrl_jax/Humanoid-G1-v0").unwrapped
     assert isinstance(env, MazeEnv) and env.action_space.shape == (17,)
     envs = gymnasium.make_vec(eihrl_jax.gym.MAZE_ID, 2, maze="s", robot="point")
