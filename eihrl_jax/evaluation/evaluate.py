@@ -106,6 +106,11 @@ def run(
         recorded=tuple(chosen)[:1] if options.animate == "one" else None,
     )
     prepared = _prepare(options, plan)
+    agents, places = len(prepared), len(chosen)
+    print(
+        f"{agents} agent{'s' * (agents > 1)} in {places} maze{'s' * (places > 1)}: "
+        f"{len(plan.rows):,} episodes of each agent, at most {plan.num_decisions:,} decisions"
+    )
 
     for item in prepared:
         title = f"{item.agent.robot}, {item.agent.movement} movement, {item.agent.high}"

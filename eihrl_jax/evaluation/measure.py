@@ -6,7 +6,6 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.special
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
@@ -16,6 +15,7 @@ from eihrl_jax.config import measure as measure_config
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import hierarchy, locomotion, postures, rooms, subgoals, wrappers
 from eihrl_jax.evaluation import loading
+from eihrl_jax.evaluation import statistics as statistics_lib
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import rotations, tree
 from eihrl_jax.physics import engine as engine_lib
@@ -133,21 +133,23 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
 
     measured: dict[str, Steps] = {}
     drift: list[subgoals.Drift] = []
-    with progress_lib.Progress(f"{robot.name}, subgoals", len(floors) + 2, unit="parts") as bar:
+    num_following = len(floors) * num_steps * num_envs
+    num_all = num_following + 2 * (k * DRIFT_AFTER[-1] + 1) * num_drifting
+    with progress_lib.Progress(f"{robot.name}, on its way", num_all) as bar:
         for index, (name, floor) in enumerate(floors.items()):
             env = _env(engine, floor, SUBGOALS_PER_EPISODE)
             key = _key(options, index)
-            measured[name] = jax.device_get(_follow(env, policy, num_envs, num_steps, key))
-            bar.update(index + 1, {})
+            done = index * num_steps * num_envs
+            measured[name] = _follow(env, policy, num_envs, num_steps, key, bar, done)
 
         # In one episode: the robots that are compared after 1, 10 and 100 subgoals are the same.
         for anchored in (False, True):
             floor = rooms.open_floor(_DRIFT_SIZE)
             env = _env(engine, floor, DRIFT_AFTER[-1] + 1, anchored=anchored)
             key, length = _key(options, len(floors)), k * DRIFT_AFTER[-1] + 1
-            steps = jax.device_get(_follow(env, policy, num_drifting, length, key))
+            done = num_following + anchored * length * num_drifting
+            steps = _follow(env, policy, num_drifting, length, key, bar, done)
             drift += [drift_after(steps, num, robot, anchored=anchored) for num in DRIFT_AFTER]
-            bar.update(len(floors) + 1 + anchored, {})
 
     statistics = {name: summarise(steps, robot, options.sigma) for name, steps in measured.items()}
     return Measurement(robot, statistics, drift, measured[subgoals.OPEN])
@@ -178,8 +180,13 @@ def _follow(
     num_envs: int,
     num_steps: int,
     key: Key[Array, ""],
+    progress: progress_lib.Progress,
+    done: int,
 ) -> Steps:
-    """Lets robots follow random subgoals for `num_steps` control steps."""
+    """Lets robots follow random subgoals for `num_steps` steps; returns what they did, on the host.
+
+    `progress` is told the control steps of all robots, `done` of which came before.
+    """
     k = env.robot.steps_per_subgoal
     resetting = wrappers.AutoReset(env)
     reset_key, act_key = jax.random.split(key)
@@ -206,15 +213,19 @@ def _follow(
         )
         return (after, start), steps
 
-    @jax.jit
-    def follow(keys: Key[Array, " N"]) -> Steps:
-        states = jax.vmap(resetting.reset)(keys)
-        # Never read: an episode's first step begins a subgoal.
-        nothing = jnp.zeros(num_envs, bool)
-        start = SubgoalStart(is_upright=nothing, is_clear=nothing)
-        return jax.lax.scan(jax.vmap(advance), (states, start), length=num_steps)[1]
-
-    return follow(jax.random.split(reset_key, num_envs))
+    # A subgoal at a time, so that one sees how far it is; the last one may be cut.
+    reset = jax.jit(jax.vmap(resetting.reset))
+    follow = jax.jit(lambda carry: jax.lax.scan(jax.vmap(advance), carry, length=k))
+    # Never read: an episode's first step begins a subgoal.
+    nothing = jnp.zeros(num_envs, bool)
+    start = SubgoalStart(is_upright=nothing, is_clear=nothing)
+    carry = reset(jax.random.split(reset_key, num_envs)), start
+    parts = []
+    for first in range(0, num_steps, k):
+        carry, steps = follow(carry)
+        parts.append(jax.device_get(steps))
+        progress.update(done + min(first + k, num_steps) * num_envs)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:num_steps], *parts)
 
 
 def _is_clear(env: locomotion.Locomotion, state: locomotion.LocomotionState) -> Bool[Array, ""]:
@@ -334,7 +345,10 @@ def _displacement(
         correlation = np.corrcoef(along, lateral)[0, 1]
 
     # Both against the law that the high level trains with: N(cell, sigma) along, N(0, sigma) aside.
-    distances = wasserstein(along - base.CELL, sigma), wasserstein(lateral, sigma)
+    distances = (
+        statistics_lib.wasserstein(along - base.CELL, sigma),
+        statistics_lib.wasserstein(lateral, sigma),
+    )
     moments = along.mean(), along.std(), lateral.mean(), lateral.std()
     values = map(float, (*moments, correlation, *distances))
     return dict(zip(_DISPLACEMENT, values, strict=True))
@@ -360,19 +374,6 @@ def recovery_times(steps: Steps, min_steps: int) -> Float[np.ndarray, " F"]:
         elif end - t >= min_steps:
             times.append(math.inf)
     return np.array(times)
-
-
-def wasserstein(values: Float[np.ndarray, " S"], sigma: float) -> float:
-    """Returns the Wasserstein-1 distance between a sample and N(0, sigma).
-
-    It is the mean difference of quantiles, taken at the sample's (i + 1/2) / S.
-
-    >>> round(wasserstein(np.full(1001, 2.0), 0.3), 3)
-    2.0
-    """
-    ordered = np.sort(values)
-    levels = (np.arange(len(ordered)) + 0.5) / len(ordered)  # of the quantiles
-    return float(np.abs(ordered - sigma * scipy.special.ndtri(levels)).mean())
 
 
 def _counts(steps: Steps) -> Bool[np.ndarray, "T N"]:

@@ -53,6 +53,7 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
     ...     mazes=("u",), high=("best-u-0",), movement=("oracle",), episodes=20, animate="none"
     ... )
     >>> (cell,) = evaluate(options).cells
+    1 agent in 1 maze: 20 episodes of each agent, at most 480 decisions
     ant, oracle movement, best-u-0: compiling episodes ...
     >>> cell.success.rate > 0.8
     True

@@ -41,6 +41,9 @@ Watch = Callable[[pathlib.Path], object]
 SECONDS_BETWEEN_SAVES = 20.0
 """Checkpoints are no rarer than this, unless saving would take more than `_SAVING_SHARE`."""
 
+_PIECES_TIMED = 3
+"""Compiled pieces of training after which it is told how long all will take."""
+
 _SAVING_SHARE = 0.05  # of a run's time
 
 
@@ -175,6 +178,11 @@ def run(job: Job[StateT], config: Options, watch: Watch | None = None) -> float:
         ) as progress:
             if resumed is not None:
                 progress.print(f"{folder.path} goes on from {_share(plan, done)}")
+            else:
+                total = f"{plan.num_steps * plan.units_per_step:,} {plan.unit}"
+                progress.print(
+                    f"{plan.title}: {total} into {folder.path}; Ctrl-C keeps what is there"
+                )
             try:
                 state = _train(job, state, done, folder, progress, watch)
                 seconds = progress.seconds
@@ -203,11 +211,16 @@ def _train(
     if done == 0:
         state = job.begin(state, progress)
 
+    first, start = done, time.monotonic()
     with stopping.deferred() as stop:
         while done < plan.num_steps:
             state, metrics = advance(state)
             done += plan.log_every
             is_last = done >= plan.num_steps
+            if done == first + _PIECES_TIMED * plan.log_every and not is_last:
+                each = (time.monotonic() - start) / (done - first)
+                left = progress_lib.format_seconds(each * (plan.num_steps - done))
+                progress.print(f"{plan.title}: about {left} to go, evaluations left out")
 
             row = job.row(state, metrics)
             if is_last or done % plan.evaluate_every == 0:

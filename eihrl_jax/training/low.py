@@ -5,15 +5,19 @@ import functools
 import pathlib
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Key
 
 from eihrl_jax import base
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import postures
+from eihrl_jax.envs import postures, subgoals
 from eihrl_jax.runs import checkpoint, policies, run_folder
 from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import loop
 from eihrl_jax.training.low_trainer import LowState, LowTrainer
+
+_NUM_PIECES = 20
+"""Pieces in which the replay is filled, so that one sees how far that is."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,8 +83,22 @@ class _Job(loop.Job[LowState]):
         if self.start is not None:
             # Not its robots nor its iterations: those are the new run's own.
             return state.replace(learner=self.start.learner, replay=self.start.replay)
-        progress.print(f"{self.plan.title}: filling the replay buffer with random steps ...")
-        return self.trainer.jit_warm_up(state)
+        return self._filled(state)
+
+    def _filled(self, state: LowState) -> LowState:
+        """Stores random steps, piece by piece."""
+        num, done = self.config.warmup_iterations, 0
+        title = f"{self.plan.title}: filling the replay with random steps"
+        num_envs = self.config.num_envs
+        with progress_lib.Progress(title, num * num_envs) as bar:
+            # A piece is compiled once; the rest of a division is a program of its own.
+            piece = max(1, num // _NUM_PIECES)
+            while done < num:
+                length = piece if num - done >= piece else num - done
+                state = jax.block_until_ready(self.trainer.jit_warm_up(state, length))
+                done += length
+                bar.update(done * num_envs)
+        return state
 
     def row(self, state: LowState, metrics: loop.Metrics) -> dict[str, float]:
         return _numbers(metrics)
@@ -98,10 +116,15 @@ class _Job(loop.Job[LowState]):
         """Records the posture bank, and measures the policy once more, longer."""
         params = state.learner.average_params
         _, measure_key, posture_key = self._keys
-        qpos = self.trainer.jit_record_postures(params, posture_key)
-        postures.save(postures.PostureBank(qpos=qpos), path / "postures.npz", self.trainer.robot)
+        walk = functools.partial(self.trainer.roll, params)
+        with progress_lib.Progress(f"{self.plan.title}: recording", 12, unit="subgoals") as bar:
+            qpos, _ = walk(posture_key, 64, 12, bar)
+        bank = postures.PostureBank(qpos=jnp.asarray(self.trainer.postures(qpos)))
+        postures.save(bank, path / "postures.npz", self.trainer.robot)
 
-        return {"statistics": _numbers(self.trainer.jit_measure(params, measure_key, 256, 20))}
+        with progress_lib.Progress(f"{self.plan.title}: measuring", 20, unit="subgoals") as bar:
+            _, metrics = walk(measure_key, 256, 20, bar)
+        return {"statistics": _numbers(jax.jit(subgoals.summarise)(metrics))}
 
 
 def train(config: low_config.LowConfig, watch: loop.Watch | None = None) -> None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
@@ -15,6 +16,7 @@ from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import experience, locomotion, low_obs, rooms, subgoals, wrappers
 from eihrl_jax.ops import tree
 from eihrl_jax.physics import engines, scene
+from eihrl_jax.runs import progress as progress_lib
 
 
 class LowState(struct.PyTreeNode):
@@ -76,10 +78,11 @@ class LowTrainer:
 
         # Each is compiled once for all runs that the trainer is used for.
         self.jit_init = jax.jit(self.init)
-        self.jit_warm_up = jax.jit(self.warm_up, donate_argnums=0)
+        self.jit_warm_up = jax.jit(self.warm_up, donate_argnums=0, static_argnums=1)
         self.jit_advance = jax.jit(self.advance, donate_argnums=0)
         self.jit_measure = jax.jit(self.measure, static_argnums=(2, 3))
-        self.jit_record_postures = jax.jit(self.record_postures)
+        self._jit_reset = jax.jit(jax.vmap(self._test_env.reset))
+        self._jit_walk = jax.jit(self._walk)
 
     def init(self, key: Key[Array, ""]) -> LowState:
         """Returns the state of a run that is about to start, nothing being stored yet."""
@@ -97,8 +100,8 @@ class LowTrainer:
             iteration=jnp.int32(0),
         )
 
-    def warm_up(self, state: LowState) -> LowState:
-        """Stores the first steps, whose controls are random."""
+    def warm_up(self, state: LowState, num_iterations: int) -> LowState:
+        """Stores steps whose controls are random, `num_iterations` in each environment."""
 
         def body(state: LowState, _: None) -> tuple[LowState, None]:
             key, ctrl_key = jax.random.split(state.key)
@@ -108,7 +111,7 @@ class LowTrainer:
             replay = replay_lib.add(state.replay, stored)
             return state.replace(envs=envs, replay=replay, key=key), None
 
-        return jax.lax.scan(body, state, length=self.config.warmup_iterations)[0]
+        return jax.lax.scan(body, state, length=num_iterations)[0]
 
     def advance(self, state: LowState) -> tuple[LowState, dict[str, Float[Array, ""]]]:
         """Runs `log_every` iterations: each is one step in every environment, then updates.
@@ -140,21 +143,48 @@ class LowTrainer:
         num_subgoals: int = 12,
     ) -> dict[str, Float[Array, ""]]:
         """Returns the subgoal statistics of the deterministic policy on open floor."""
-        return subgoals.summarise(self._roll(actor_params, key, num_envs, num_subgoals)[1])
+        envs = jax.vmap(self._test_env.reset)(self._test_keys(key, num_envs))
+        length = num_subgoals * self.robot.steps_per_subgoal
+        return subgoals.summarise(self._walk(envs, actor_params, length)[1][1])
 
-    def record_postures(
-        self, actor_params: base.Params, key: Key[Array, ""]
-    ) -> Float[Array, "K nq"]:
-        """Records `num_postures` postures of the walking robot, x and y zeroed.
+    def roll(
+        self,
+        actor_params: base.Params,
+        key: Key[Array, ""],
+        num_envs: int,
+        num_subgoals: int,
+        progress: progress_lib.Progress,
+    ) -> tuple[Float[np.ndarray, "T N nq"], dict[str, Float[np.ndarray, "T N"]]]:
+        """Walks as `measure` does, and returns qpos and metrics of every step, on the host.
 
-        They come from deterministic walking with random subgoals, the first subgoal left out, and
-        are spread evenly over environments and time (paper, Sec. 3.2).
+        Args:
+          actor_params: of the policy.
+          key: of the starts and directions.
+          num_envs: robots, N.
+          num_subgoals: that each follows.
+          progress: is told the subgoals that all have followed.
         """
-        qpos, _ = self._roll(actor_params, key, num_envs=64, num_subgoals=12)
+        envs = self._jit_reset(self._test_keys(key, num_envs))
+        parts = []
+        for number in range(1, num_subgoals + 1):
+            envs, steps = self._jit_walk(envs, actor_params)
+            parts.append(jax.device_get(steps))
+            progress.update(number)
+        qpos, metrics = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        return qpos, metrics
+
+    def postures(self, qpos: Float[np.ndarray, "T N nq"]) -> Float[np.ndarray, "K nq"]:
+        """Picks `num_postures` postures of the walking robot, x and y zeroed.
+
+        They are spread evenly over environments and time of deterministic walking with random
+        subgoals, the first subgoal left out (paper, Sec. 3.2).
+        """
         # The first subgoal still shows the reset's noise, not the gait.
         qpos = qpos[self.robot.steps_per_subgoal :].reshape(-1, qpos.shape[-1])
-        index = jnp.linspace(0, qpos.shape[0] - 1, self.config.num_postures).astype(jnp.int32)
-        return qpos[index].at[:, :2].set(0.0)
+        index = np.linspace(0, len(qpos) - 1, self.config.num_postures).astype(np.int32)
+        picked = qpos[index]
+        picked[:, :2] = 0.0
+        return picked
 
     def meta(self) -> dict[str, Any]:
         """Returns what must stand beside the parameters for them to be used."""
@@ -236,17 +266,26 @@ class LowTrainer:
             anew = experience.restart(row, direction, self.robot)
         return tree.where(is_seen_anew, anew, row)
 
-    def _roll(
-        self, actor_params: base.Params, key: Key[Array, ""], num_envs: int, num_subgoals: int
-    ) -> tuple[Float[Array, "T N nq"], dict[str, Float[Array, "T N"]]]:
-        """Walks deterministically on open floor; returns qpos and metrics of every step."""
+    def _test_keys(self, key: Key[Array, ""], num_envs: int) -> Key[Array, " N"]:
+        """Returns the keys of the robots that are measured."""
         env_key, _ = jax.random.split(key)  # The second half is free; splitting keeps the draws.
-        envs = jax.vmap(self._test_env.reset)(jax.random.split(env_key, num_envs))
+        return jax.random.split(env_key, num_envs)
+
+    def _walk(
+        self, envs: base.EnvState, actor_params: base.Params, num_steps: int | None = None
+    ) -> tuple[base.EnvState, tuple[Float[Array, "T N nq"], dict[str, Float[Array, "T N"]]]]:
+        """Walks deterministically; returns the robots, and qpos and metrics of every step.
+
+        Args:
+          envs: robots on open floor.
+          actor_params: of the policy.
+          num_steps: control steps; None: those of a subgoal.
+        """
 
         def body(envs: base.EnvState, _: None) -> tuple[base.EnvState, tuple[Array, dict]]:
             ctrl = jax.vmap(self.mode, (None, 0))(actor_params, envs.obs)
             envs = jax.vmap(self._test_env.step)(envs, ctrl)
             return envs, (envs.inner.physics.qpos, envs.metrics)
 
-        length = num_subgoals * self.robot.steps_per_subgoal
-        return jax.lax.scan(body, envs, length=length)[1]
+        length = self.robot.steps_per_subgoal if num_steps is None else num_steps
+        return jax.lax.scan(body, envs, length=length)

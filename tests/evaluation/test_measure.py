@@ -10,7 +10,7 @@ import pytest
 from eihrl_jax import base, robots
 from eihrl_jax.config import measure as measure_config
 from eihrl_jax.envs import postures, subgoals
-from eihrl_jax.evaluation import measure, tables
+from eihrl_jax.evaluation import measure, statistics, tables
 from eihrl_jax.reporting import measurements
 
 ANT = dataclasses.replace(robots.load("ant"), steps_per_subgoal=2)
@@ -113,14 +113,14 @@ def test_drift_is_from_the_centre_of_ones_own_cell_in_the_subgoals_frame():
 @pytest.mark.parametrize(("shift", "sigma", "expected"), [(0.0, 0.3, 0.0), (-0.7, 0.3, 0.7)])
 def test_distance_to_the_normal_law(shift, sigma, expected):
     sample = np.random.default_rng(0).normal(shift, 0.3, 40_000)
-    assert measure.wasserstein(sample, sigma) == pytest.approx(expected, abs=0.01)
+    assert statistics.wasserstein(sample, sigma) == pytest.approx(expected, abs=0.01)
 
 
 def test_distance_of_normal_laws_of_other_widths():
     """Between N(0, a) and N(0, b) it is |a - b| times the mean of |N(0, 1)|."""
     sample = np.random.default_rng(1).normal(0.0, 0.5, 40_000)
     expected = 0.2 * math.sqrt(2 / math.pi)
-    assert measure.wasserstein(sample, 0.3) == pytest.approx(expected, abs=0.01)
+    assert statistics.wasserstein(sample, 0.3) == pytest.approx(expected, abs=0.01)
 
 
 def test_measuring_the_shipped_ant(tmp_path):

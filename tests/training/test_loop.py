@@ -117,6 +117,14 @@ def whole(tmp_path_factory):
     return run, job.calls
 
 
+def test_a_run_says_what_comes_and_how_long_it_takes(tmp_path, capsys):
+    loop.run(Job(), Options(run=tmp_path / "told"))
+    lines = capsys.readouterr().out.splitlines()
+    first = lines.index(next(line for line in lines if "Ctrl-C" in line))
+    assert first == 0 and "told" in lines[0]
+    assert any(line.endswith("to go, evaluations left out") for line in lines)
+
+
 def test_everything_is_done_when_it_is_due(whole):
     run, calls = whole
     steps = (2, 4, 6, 8, 10, 12)
