@@ -38,7 +38,7 @@ def in_range(
     limits = {"at least": low, "at most": high, "greater than": above, "smaller than": below}
     # Asked for first: where there is no limit, infinity and NaN would pass.
     is_inside = (
-        math.isfinite(value)  # nan compares with nothing
+        (isinstance(value, int) or math.isfinite(value))  # nan compares with nothing
         and (low is None or value >= low)
         and (high is None or value <= high)
         and (above is None or value > above)

@@ -15,8 +15,9 @@ from eihrl_jax.baselines.world import World
 from eihrl_jax.config import codec, presets
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import goal_maze, hierarchy, task
+from eihrl_jax.evaluation import metas
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.runs import checkpoint, policies
+from eihrl_jax.runs import policies
 
 
 class BaselineMazeState(struct.PyTreeNode):
@@ -115,19 +116,15 @@ def load(
     """
     path = policies.find(name, "baseline")
     policy, meta = policies.load(path, kind="baseline", robot=engine.robot.name)
-    method = policies.entry(meta, "method", path)
-    if method not in presets.BASELINES:
-        raise base.UserError(f"{path}: unknown method {method!r}")
+    told = metas.read(meta, metas.Baseline, path)
 
     # Through the codec, so that what a stranger's file says is checked like a config.
     text = json.dumps(policies.entry(meta, "config", path), default=str)
-    options = codec.from_json(type(presets.BASELINES[method]), text, source=str(path))
+    options = codec.from_json(type(presets.BASELINES[told.method]), text, source=str(path))
 
     env = goal_maze.GoalMaze(engine, stacked, reward=reward)
-    width, height = policies.entry(meta, "side_xy", path)
     steps = int(env.table.mazes.num_decisions.max())
     # Sizes of networks follow from the arena in which it was trained, not from these mazes.
-    baseline = interface.make(World(env, engine.model.nu, (width, height), steps), options)
-    expected = jax.eval_shape(lambda key: baseline.policy(baseline.init(key)), jax.random.key(0))
-    checkpoint.check_same(path, policy, expected)
+    baseline = interface.make(World(env, engine.model.nu, told.side_xy, steps), options)
+    metas.check_params(policy, lambda: baseline.policy(baseline.init(jax.random.key(0))), path)
     return BaselineMaze(env, baseline, policy)

@@ -1,7 +1,6 @@
 """Levels from their folders, and the environments in which they are evaluated together."""
 
 import dataclasses
-import json
 
 import jax
 import jax.numpy as jnp
@@ -10,18 +9,15 @@ from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base, mazes
 from eihrl_jax.agents import peg_a2c
-from eihrl_jax.config import codec
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.config import high as high_config
-from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import hierarchy, low_obs, oracle_maze, physics_maze, raster, subgoals
-from eihrl_jax.evaluation import rollouts
+from eihrl_jax.evaluation import metas, rollouts
 from eihrl_jax.networks import actor_critic, droq, search
 from eihrl_jax.ops import planning
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import scene
 from eihrl_jax.robots import robot as robot_lib
-from eihrl_jax.runs import checkpoint, policies
+from eihrl_jax.runs import policies
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,28 +115,22 @@ def load_high(
     params, meta = policies.load(path, kind="high")
 
     # The folder says what to build; shapes are then compared, so that a damaged one is named.
-    view = raster.View(**policies.entry(meta, "view", path))
-    if knows is not None:
-        view = dataclasses.replace(view, knows=knows)
-    sizes = json.dumps(policies.entry(meta, "network", path))
-    network = actor_critic.make(codec.from_json(high_config.Network, sizes, source=str(path)))
-    obs = jnp.zeros(view.obs_shape, bool)
-    checkpoint.check_same(path, params, jax.eval_shape(network.init, jax.random.key(0), obs))
+    told = metas.read(meta, metas.High, path)
+    view = told.view if knows is None else dataclasses.replace(told.view, knows=knows)
+    network = actor_critic.make(told.network)
+    metas.check_params(
+        params, lambda: network.init(jax.random.key(0), jnp.zeros(view.obs_shape, bool)), path
+    )
 
     # Training has a small map, on which ways are short; here they may be as long as they are.
     takes_any_map = isinstance(network, search.SearchActorCritic)
     if takes_any_map:
         network = network.clone(num_moves=None)
 
-    # Policies from before presets chose don't say.
-    if greedy is None:
-        greedy = meta.get("greedy", False) is True
-
     # A pytree of the parameters: policies that differ in them alone share what is compiled.
-    policy = jax.tree_util.Partial(_Learned(network, greedy), params)
-    # Policies from before there were anchors don't say.
-    anchored = meta.get("movement", {}).get("anchored", False) is True
-    return HighLevel(name, policy, view, anchored, takes_any_map)
+    learned = _Learned(network, told.greedy if greedy is None else greedy)
+    policy = jax.tree_util.Partial(learned, params)
+    return HighLevel(name, policy, view, told.movement.anchored, takes_any_map)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -180,20 +170,18 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
     params, meta = policies.load(path, kind="low", robot=robot.name)
 
     # Policies from before there were fingerprints don't say.
-    trained_with = meta.get("fingerprint")
-    if trained_with not in (None, scene.fingerprint(scene.build(robot), robot)):
+    told = metas.read(meta, metas.Low, path)
+    if told.fingerprint not in (None, scene.fingerprint(scene.build(robot), robot)):
         raise base.UserError(
             f"{path} is a policy of another version of robot {robot.name!r}: its model or its "
             "times have changed since; train it again"
         )
 
     # As above: first what the folder says, then whether its parameters fit that.
-    options = low_config.LowInput(**policies.entry(meta, "low_input", path))
-    num_actions, hidden = (policies.entry(meta, name, path) for name in ("num_actions", "hidden"))
-    actor = droq.Actor(num_actions, tuple(hidden))
-    features = jnp.zeros((1, policies.entry(meta, "num_features", path)))
-    expected = jax.eval_shape(actor.init, jax.random.key(0), features)["params"]
-    checkpoint.check_same(path, params, expected)
+    options = told.low_input
+    actor = droq.Actor(told.num_actions, told.hidden)
+    features = jnp.zeros((1, told.num_features))
+    metas.check_params(params, lambda: actor.init(jax.random.key(0), features)["params"], path)
 
     def policy(obs: low_obs.LowObs, key: Key[Array, ""]) -> Float[Array, " nu"]:
         del key  # The mean of the actor acts, without noise.

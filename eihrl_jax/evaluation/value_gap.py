@@ -14,7 +14,7 @@ from jaxtyping import Float
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import value_gap as gap_config
 from eihrl_jax.envs import postures, subgoals
-from eihrl_jax.evaluation import loading, rollouts
+from eihrl_jax.evaluation import loading, metas, rollouts
 from eihrl_jax.physics import engines
 from eihrl_jax.runs import policies
 from eihrl_jax.runs import progress as progress_lib
@@ -111,9 +111,10 @@ def shipped_law(robot: str) -> displacement.Displacement:
       base.UserError: the robot has none.
     """
     # From the folder, where training wrote it: nothing is simulated for it.
-    _, meta = policies.load(policies.find(robot, "low"), kind="low", robot=robot)
-    names = ("along_mean", "along_std", "lateral_mean", "lateral_std")
-    return displacement.Displacement.of(*(meta["statistics"][name] for name in names))
+    path = policies.find(robot, "low")
+    _, meta = policies.load(path, kind="low", robot=robot)
+    law = metas.read(policies.entry(meta, "statistics", path), metas.Law, path)
+    return displacement.Displacement.of(*dataclasses.astuple(law))
 
 
 def _oracle_law(sigma: float) -> displacement.Displacement:

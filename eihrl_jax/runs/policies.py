@@ -12,8 +12,12 @@ import sys
 from collections.abc import Iterable
 from typing import Any, Literal, TypeAlias
 
+import jax
+import numpy as np
+
 from eihrl_jax import base
 from eihrl_jax.runs import checkpoint
+from eihrl_jax.storage import reading
 
 Kind = Literal["high", "low", "baseline"]
 Meta: TypeAlias = dict[str, Any]
@@ -84,7 +88,9 @@ def load(path: pathlib.Path, *, kind: Kind, robot: str | None = None) -> tuple[b
         raise base.UserError(
             f"{path} is a policy of robot {meta.get('robot')!r}, expected {robot!r}"
         )
-    return checkpoint.read(path)["params"], meta
+    params = checkpoint.read(path)["params"]
+    _check_finite(params, path)
+    return params, meta
 
 
 def entry(meta: Meta, name: str, path: pathlib.Path) -> Any:
@@ -98,7 +104,7 @@ def entry(meta: Meta, name: str, path: pathlib.Path) -> Any:
     Raises:
       UserError: there is none.
     """
-    if name not in meta:
+    if not isinstance(meta, dict) or name not in meta:
         raise base.UserError(f"{path}: meta.json lacks {name!r}")
     return meta[name]
 
@@ -140,12 +146,24 @@ def kind_of(name: str | pathlib.Path) -> Kind | None:
 
 
 def read_meta(path: pathlib.Path) -> Meta:
-    """Returns what is told about the policy in a folder.
+    """Returns what is told about the policy in a folder; only its kind is looked at.
 
     Raises:
-      UserError: it can't be read.
+      UserError: it can't be read, or names no kind.
     """
-    return json.loads(checkpoint.read_file(path, "meta.json"))
+    meta = reading.parse_json(checkpoint.read_file(path, "meta.json"), f"{path}: meta.json")
+    kind = meta.get("kind") if isinstance(meta, dict) else None
+    if not isinstance(kind, str) or kind not in _NOUNS:
+        raise base.UserError(f"{path}: meta.json names no kind of policy: {', '.join(_NOUNS)}")
+    return meta
+
+
+def _check_finite(params: base.Params, path: pathlib.Path) -> None:
+    """Refuses what would act on NaN without a word."""
+    for key, leaf in jax.tree_util.tree_leaves_with_path(params):
+        if not np.isfinite(np.asarray(leaf)).all():
+            name = jax.tree_util.keystr(key, simple=True, separator="/")
+            raise base.UserError(f"{path} is of no use: {name} holds numbers that aren't finite")
 
 
 def _first(name: str | pathlib.Path, kinds: Iterable[Kind]) -> pathlib.Path | None:
