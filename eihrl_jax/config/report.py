@@ -6,7 +6,9 @@ from typing import Annotated, Literal, get_args
 from eihrl_jax import base
 from eihrl_jax.config import limits
 
-Part = Literal["table1", "trained", "table2", "more_time", "learning", "baselines", "ablations"]
+Part = Literal[
+    "table1", "trained", "table2", "more_time", "learning", "baselines", "ablations", "own"
+]
 """A part of the report, see `reporting.sections`."""
 
 PARTS: tuple[Part, ...] = get_args(Part)
@@ -22,7 +24,10 @@ class ReportConfig:
     Attributes:
       policies: folder of high levels, `<preset>-<maze>-<seed>` each, as `train_policies` makes
         them; None: those that are shipped.
-      parts: what to evaluate and show.
+      high: run folders, policy folders or shipped names of one's own choice, for the part own, in
+        the mazes of --mazes.
+      mazes: names, suites or files, as `evaluate` takes them.
+      parts: what to evaluate and show; own is left out where no --high is named.
       movement: oracle: the simulator moves the torso; full: the robot walks, which takes most of
         the time.
       episodes: per maze and high level.
@@ -35,6 +40,8 @@ class ReportConfig:
     """
 
     policies: pathlib.Path | None = None
+    high: tuple[str, ...] = ()
+    mazes: limits.Several[str] = ("random", "g1", "g2", "g3")
     parts: limits.Several[Part] = PARTS
     movement: limits.Several[base.MovementName] = base.MOVEMENTS
     episodes: limits.UpToMillion = 500

@@ -9,13 +9,15 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.evaluation import paper, results, statistics, tables
 
 NOTE = (
     "Success is achieved goals / total goals in per cent: mean ± standard deviation over high "
-    "levels trained alike from different seeds; the paper's ± is its own."
+    "levels trained alike from different seeds, and in brackets the 95 % interval of the mean, at "
+    "least as wide as that of one high level's episodes; the paper's ± is its own."
 )
 
 MOVEMENTS = {"oracle": "oracle", "full": "walking"}
@@ -130,7 +132,7 @@ def _success(
     for row in rows:
         # What was published has no episodes of which a mean could be taken.
         entries = [
-            mean([cell for cell in row.cells if column_of(cell) == column])
+            _with_interval([cell for cell in row.cells if column_of(cell) == column])
             if row.published is None
             else paper.percent(row.published.get(column))
             for column in columns
@@ -141,7 +143,9 @@ def _success(
 
 def overall(title: str, rows: Sequence[Row]) -> tables.Table:
     """Compares success over all mazes taken together."""
-    return tables.Table(title, ["", "success %"], [[row.label, mean(row.cells)] for row in rows])
+    return tables.Table(
+        title, ["", "success %"], [[row.label, _with_interval(row.cells)] for row in rows]
+    )
 
 
 def failures(title: str, rows: Sequence[Row]) -> tables.Table:
@@ -162,16 +166,29 @@ def mean(cells: Sequence[results.Cell]) -> str:
 
     Where there is one high level, uniform or learned, nothing is known about the deviation.
     """
-    # First over mazes or episodes of each high level: what is compared are trainings.
+    rates = _by_training(cells)
+    if len(rates) < 2:
+        return f"{100 * rates[0]:.1f}" if len(rates) else "-"
+    return tables.spread(statistics.over_runs(rates))
+
+
+def _with_interval(cells: Sequence[results.Cell]) -> str:
+    """Writes the same with its 95 % interval: "95.0 ± 1.2 [91.8, 97.5]"."""
+    if not cells:
+        return "-"
+    # As wide as that of single episodes: trainings that all came out alike would show no doubt.
+    low = float(np.mean([cell.success.low for cell in cells]))
+    high = float(np.mean([cell.success.high for cell in cells]))
+    rates = _by_training(cells)
+    if len(rates) > 1:
+        over = statistics.over_runs(rates)
+        low, high = min(low, over.low), max(high, over.high)
+    return f"{mean(cells)} [{100 * low:.1f}, {100 * high:.1f}]"
+
+
+def _by_training(cells: Sequence[results.Cell]) -> Float[np.ndarray, " N"]:
+    """Returns the success of each of N high levels, the mean over its mazes."""
     by_high: dict[str, list[float]] = {}
     for cell in cells:
         by_high.setdefault(cell.agent.high, []).append(cell.success.rate)
-
-    if not by_high:
-        return "-"
-
-    # First over the mazes of each training, then over trainings: the deviation is that of seeds.
-    rates = np.array([np.mean(rates) for rates in by_high.values()])
-    if len(rates) == 1:
-        return f"{100 * rates[0]:.1f}"
-    return tables.spread(statistics.over_runs(rates))
+    return np.array([np.mean(rates) for rates in by_high.values()])

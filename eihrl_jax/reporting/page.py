@@ -25,7 +25,11 @@ p, figcaption {{ color: {palette.INK}; max-width: 46rem; }}
 table {{ border-collapse: collapse; width: 100%; font-size: clamp(0.62rem, 2.3vw, 0.95rem); }}
 caption {{ text-align: left; font-weight: bold; padding: 0.6rem 0 0.3rem; }}
 th, td {{ padding: 0.25em 0.4em; text-align: right; vertical-align: top; }}
-th:first-child, td:first-child {{ text-align: left; padding-left: 0; overflow-wrap: anywhere; }}
+td {{ white-space: nowrap; }}
+th:first-child, td:first-child {{ text-align: left; padding-left: 0; overflow-wrap: anywhere;
+  white-space: normal; }}
+table.about td {{ text-align: left; white-space: normal; overflow-wrap: anywhere; }}
+.table {{ overflow-x: auto; }}
 thead th {{ border-bottom: 1px solid {palette.MUTED}; }}
 tbody tr:nth-child(even) {{ background: {palette.FLOOR}; }}
 tr.published td {{ color: #5C6373; font-style: italic; }}
@@ -122,10 +126,12 @@ def _table(table: tables_lib.Table) -> str:
         cells = "".join(f"<td>{html.escape(text)}</td>" for text in row)
         rows.append(f"<tr{kind}>{cells}</tr>")
 
+    kind = ' class="about"' if table.num_words == len(table.header) else ""
     caption, body = html.escape(table.title), "\n".join(rows)
     return (
-        f"<table>\n<caption>{caption}</caption>\n<thead><tr>{head}</tr></thead>\n"
-        f"<tbody>\n{body}\n</tbody>\n</table>"
+        # Wider than a phone it moves aside in its place: numbers are not broken.
+        f'<div class="table">\n<table{kind}>\n<caption>{caption}</caption>\n'
+        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>\n</div>"
     )
 
 

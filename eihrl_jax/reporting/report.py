@@ -1,9 +1,14 @@
 """Puts everything that the paper reports on one page: `python -m experiments.report`."""
 
+import dataclasses
+import shlex
+
 from eihrl_jax import base
+from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import report as report_config
+from eihrl_jax.evaluation import tables
 from eihrl_jax.reporting import comparison, page, sections
-from eihrl_jax.runs import folders
+from eihrl_jax.runs import folders, versions
 from eihrl_jax.storage import writing
 
 
@@ -19,15 +24,50 @@ def main(config: report_config.ReportConfig) -> None:
     shown = [section for section in made if section.tables or section.pictures]
     if not shown:
         # Two parts need a folder of runs, which has no default.
-        for part, folders in (("baselines", config.baselines), ("ablations", config.ablations)):
+        needs = (("baselines", config.baselines), ("ablations", config.ablations))
+        for part, folders in needs:
             if config.parts == (part,) and not folders:
                 raise base.UserError(f"parts = {part} needs --{part}, a folder of runs")
+        if config.parts == ("own",):
+            raise base.UserError("parts = own needs --high, runs or names of policies")
         raise base.UserError(f"policies = {runs.folder} holds no <preset>-<maze>-<seed>")
 
     config.out.mkdir(parents=True, exist_ok=True)
-    page.write(config.out / "report.html", "Zero-shot navigation", comparison.NOTE, shown)
+    title, parts = "Zero-shot navigation", [*shown, _about(config)]
+    page.write(config.out / "report.html", title, comparison.NOTE, parts)
     writing.write_text(config.out / "tables.md", page.markdown(shown))
     print(f"written to {config.out / 'report.html'}")
+
+
+def _about(config: report_config.ReportConfig) -> page.Section:
+    """Says when, with what and by which command the page was made."""
+    made = versions.describe()
+    packages = ", ".join(f"{name} {version}" for name, version in made["packages"].items())
+    evaluated = evaluate_config.EvaluateConfig()
+    rows = [
+        ["date", made["date"]],
+        ["commit", made["commit"] or "not from a checkout"],
+        ["command", _command(config)],
+        ["episodes per maze and high level", f"{config.episodes}, where nothing else is said"],
+        ["evaluation seeds", ", ".join(map(str, evaluated.seeds))],
+        ["machine", f"{made['system']}, {made['cpu']}, {made['device']}"],
+        ["packages", packages],
+    ]
+    return page.Section(
+        title="How this page was made",
+        tables=[tables.Table("", ["", ""], rows, num_words=2)],
+    )
+
+
+def _command(config: report_config.ReportConfig) -> str:
+    """Returns the command line with the options that aren't the defaults."""
+    words = ["eihrl", "report"]
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if value != field.default:
+            values = value if isinstance(value, tuple) else (value,)
+            words += [f"--{field.name.replace('_', '-')}", *map(str, values)]
+    return shlex.join(words)
 
 
 def _check_places(config: report_config.ReportConfig) -> None:

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import pathlib
+import re
 from collections.abc import Callable, Sequence
 
 from eihrl_jax import base
@@ -91,6 +92,35 @@ class Runs:
         """Returns the first picture of an evaluation whose name fits, if there is one."""
         paths = sorted((self.options.out / "evaluations" / name).glob(pattern))
         return [page.Picture(path, caption) for path in paths[:1]]
+
+
+def own(runs: Runs) -> page.Section:
+    """High levels and mazes that the user names."""
+    cells = runs.evaluate("own", runs.options.high, mazes=runs.options.mazes)
+    # Seeds of one training share a row.
+    groups: dict[str, list[results.Cell]] = {}
+    for cell in cells:
+        groups.setdefault(re.sub(r"\d+$", "*", cell.agent.high), []).append(cell)
+    evaluated = {
+        name if len({cell.agent.high for cell in own}) > 1 else own[0].agent.high: own
+        for name, own in groups.items()
+    }
+    rows = comparison.by_movement(evaluated)
+    names = tuple(dict.fromkeys(cell.maze for cell in cells))
+    return page.Section(
+        title="Runs and mazes of one's own",
+        tables=[
+            comparison.success_by_maze("Success", rows, names),
+            comparison.failures("How their episodes ended", rows),
+        ]
+        if rows
+        else [],
+        pictures=[
+            *runs.picture("own", "*heatmaps.png", "Where the robot was."),
+            *runs.picture("own", "*-ends.png", "Where episodes ended that failed."),
+            *runs.picture("own", "*.gif", "The robot on its way."),
+        ],
+    )
 
 
 def table1(runs: Runs) -> page.Section:
@@ -286,6 +316,7 @@ def ablations(runs: Runs) -> page.Section:
 
 
 PARTS: dict[report_config.Part, Callable[[Runs], page.Section]] = {
+    "own": own,
     "table1": table1,
     "trained": trained,
     "table2": table2,

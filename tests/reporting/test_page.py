@@ -44,17 +44,23 @@ def test_a_row_holds_the_mean_over_high_levels_or_what_was_published():
     table = comparison.success_by_maze("t", rows, ("g1", "g2", "g3"))
     assert table.header == ["success %", "Maze-g1", "Maze-g2", "Maze-g3"]
     assert table.rows == [
-        ["ours", "75.0 ± 35.4", "50.0", "-"],
+        ["ours", "75.0 ± 35.4 [0.0, 100.0]", "50.0 [15.0, 85.0]", "-"],
         ["paper", "72.0 ± 6.3", "≤ 1", "-"],
     ]
 
 
 def test_robots_are_compared_and_mazes_taken_together():
     table = comparison.success_by_robot("t", [comparison.Row("all", CELLS)], ("ant", "point"))
-    assert table.rows == [["all", "62.5 ± 17.7", "0.0"]]
+    assert table.rows == [["all", "62.5 ± 17.7 [0.0, 100.0]", "0.0 [0.0, 65.8]"]]
     table = comparison.overall("t", [comparison.Row("oracle", CELLS[:3])])
-    assert table.rows == [["oracle", "62.5 ± 17.7"]]
+    assert table.rows == [["oracle", "62.5 ± 17.7 [0.0, 100.0]"]]
     assert comparison.mean([]) == "-"
+
+
+def test_trainings_that_all_came_out_alike_are_no_more_certain_than_their_episodes():
+    alike = [cell("g1", (1, 1, 1, 1), high=str(seed)) for seed in range(3)]
+    table = comparison.success_by_maze("t", [comparison.Row("ours", alike)], ("g1",))
+    assert table.rows == [["ours", "100.0 ± 0.0 [51.0, 100.0]"]]
 
 
 def test_searches_are_compared_by_their_decisions_maze_by_maze():

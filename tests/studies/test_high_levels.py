@@ -150,6 +150,8 @@ def test_report_shows_what_can_be_evaluated_and_reuses_it(trained, work, tmp_pat
     )
     report.main(options)
     text = (tmp_path / "report.html").read_text()
+    assert "How this page was made" in text and "eihrl report --policies" in text
+    assert f"<td>{options.episodes}, where" in text
     assert text.count("<table>") == 4 and text.count("<img") >= 3
     lines = (tmp_path / "tables.md").read_text()
     assert "| paper, oracle | 66.4 ± 5.4 | 72.0 ± 6.3 | 58.4 ± 8.3 | 84.8 ± 6.6 |" in lines
@@ -237,6 +239,8 @@ def test_bad_input_is_named(tmp_path):
     )
     with pytest.raises(base.UserError, match="holds no <preset>-<maze>-<seed>"):
         report.main(options)
+    with pytest.raises(base.UserError, match="parts = own needs --high"):
+        report.main(dataclasses.replace(options, parts=("own",)))
 
 
 def test_variants_of_a_preset_are_trained_and_compared(work, tmp_path, monkeypatch):
