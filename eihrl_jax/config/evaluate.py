@@ -40,7 +40,7 @@ class EvaluateConfig:
       mazes: names (random, u, s, spiral, g1, g2, g3), suites (paper, jaxued, ogbench, jaxgcrl,
         gymnasium-robotics, perfect-19, perfect-51, perfect-101, development), names of mazes in
         them, such as jaxued-labyrinth, or text files; default: Table 1 of the paper.
-      robot: point, ant, swimmer, humanoid or description files (docs/robots.md).
+      robot: point, ant, swimmer, humanoid, go1 or description files (docs/robots.md).
       movement: oracle: the simulator moves the torso; full: the robot itself, with a low level.
       high: run folders, policy folders or names of shipped policies, such as best-u-0 (all of them:
         `eihrl list`); uniform: uniform directions;
