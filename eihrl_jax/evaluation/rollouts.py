@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from eihrl_jax import base, mazes
 from eihrl_jax.envs import hierarchy, raster
+from eihrl_jax.evaluation import lanes as lanes_lib
 from eihrl_jax.evaluation import recording as recording_lib
 from eihrl_jax.evaluation import results, streams
 from eihrl_jax.evaluation import whereabouts as whereabouts_lib
@@ -194,7 +195,7 @@ class Runner:
         Returns:
           What happened, by maze.
         """
-        decide = functools.partial(self._compile(high_policy, progress), high_policy)
+        decide = functools.partial(self._next, high_policy, progress)
         rows, num_first = self._rows, 0
         recorded = self._recorded(rows)
         is_few = 0 < _MIN_TIMES_RECORDED * len(recorded) <= len(rows)
@@ -204,12 +205,13 @@ class Runner:
         limits = self._plan.limits[rows[:, 1]]
         spent, success = np.zeros(len(rows), int), np.zeros(len(rows))
 
-        def report(here: slice, state: base.EnvState) -> None:
+        def report(here: slice, lanes: lanes_lib.Lanes) -> None:
             # An episode that is over has spent all its decisions: so the bar ends at its end.
-            num = len(rows[here])
-            decisions = np.asarray(state.inner.nav.decisions)[:num]
-            spent[here] = np.where(np.asarray(state.is_over)[:num], limits[here], decisions)
-            success[here] = np.asarray(state.metrics["success"])[:num]
+            is_real = lanes.rows < here.stop - here.start
+            index = here.start + lanes.rows[is_real]
+            decisions = np.asarray(lanes.state.inner.nav.decisions)[is_real]
+            spent[index] = np.where(lanes.is_running[is_real], decisions, limits[index])
+            success[index] = np.asarray(lanes.state.metrics["success"])[is_real]
             progress.update(int(spent.sum()), {"success": success[: here.stop].mean()})
 
         # One batch after the other, each until its last episode is over.
@@ -223,20 +225,26 @@ class Runner:
                     preview(self._by_maze(batches))
         return self._by_maze(batches)
 
-    def _compile(
-        self, high_policy: HighPolicy, progress: progress_lib.Progress
-    ) -> jax.stages.Compiled:
-        """Returns the program of a decision of all episodes for high levels like this one."""
+    def _next(
+        self,
+        high_policy: HighPolicy,
+        progress: progress_lib.Progress,
+        lanes: lanes_lib.Lanes,
+        t: int,
+    ) -> tuple[lanes_lib.Lanes, recording_lib.Decision]:
+        """Makes decision `t` of every episode that is not over, see `_decide`."""
         # The structure holds network and options, but no parameters: equal ones share a program.
-        kind = jax.tree.structure(high_policy)
+        kind = jax.tree.structure(high_policy), len(lanes.rows)
+        arguments = (high_policy, *lanes[:-1], jnp.int32(t))
         if kind not in self._compiled:
             with progress.compiling("episodes"):
                 # Not left to the first call: `jit` would compile once more when the states come
                 # back committed to the device of a loaded policy. Bins are marked in place.
                 decide = jax.jit(self._decide, donate_argnames="places")
-                first = *self._begin(self._rows), jnp.int32(0)
-                self._compiled[kind] = decide.lower(high_policy, *first).compile()
-        return self._compiled[kind]
+                self._compiled[kind] = decide.lower(*arguments).compile()
+
+        state, places, decision = self._compiled[kind](*arguments)
+        return lanes._replace(state=state, places=places), decision
 
     def _decide(
         self,
@@ -277,27 +285,27 @@ class Runner:
 
     def _run_batch(
         self,
-        decide: Callable[
-            ..., tuple[base.EnvState, whereabouts_lib.Whereabouts, recording_lib.Decision]
-        ],
+        decide: Callable[[lanes_lib.Lanes, int], tuple[lanes_lib.Lanes, recording_lib.Decision]],
         rows: Int[np.ndarray, "E 3"],
-        report: Callable[[base.EnvState], None],
+        report: Callable[[lanes_lib.Lanes], None],
     ) -> _Batch:
         """Runs episodes to their ends."""
-        state, places, keys, recorded = self._begin(rows)
+        whole = lanes = self._begin(rows)
+        longest = int(self._plan.limits[rows[:, 1]].max())
         history: list[recording_lib.Decision] = []
-        while not state.is_over.all():
-            t = jnp.int32(len(history))  # typed as the program was compiled
-            state, places, decision = decide(state, places, keys, recorded, t)
+        while lanes.is_running.any():
+            if lanes.is_thin(longest - len(history)):
+                whole = whole.put_back(lanes)
+                lanes = lanes.thinned()
+            lanes, decision = decide(lanes, len(history))
             # To the host at once, so that the device holds one decision's record only.
             history.append(jax.device_get(decision))
-            report(state)
-        return self._finish(rows, state, places, history)
+            report(lanes)
 
-    def _begin(
-        self, rows: Int[np.ndarray, "_ 3"]
-    ) -> tuple[base.EnvState, whereabouts_lib.Whereabouts, Key[Array, " E"], Int[Array, " R"]]:
-        """Returns what `_decide` takes between policy and number of the decision."""
+        return self._finish(rows, whole.put_back(lanes), history)
+
+    def _begin(self, rows: Int[np.ndarray, "_ 3"]) -> lanes_lib.Lanes:
+        """Returns a batch at its start."""
         # A short batch repeats its rows, in episodes that are over and that `_finish` leaves out.
         padded = np.resize(rows, (self._size, 3))
         env_keys, high_keys = streams.streams(padded, list(self._plan.mazes))
@@ -307,7 +315,8 @@ class Runner:
         places = whereabouts_lib.Whereabouts.at_the_start(self._size, *self._bins.tolist())
         # As many in every batch, since they are an argument of one shape.
         recorded = np.resize(self._recorded(rows), self._num_recorded)
-        return state, places, high_keys, jnp.asarray(recorded, jnp.int32)
+        recorded = jnp.asarray(recorded, jnp.int32)
+        return lanes_lib.Lanes(state, places, high_keys, recorded, np.arange(self._size))
 
     def _recorded(self, rows: Int[np.ndarray, "E 3"]) -> Int[np.ndarray, " R"]:
         """Returns which rows of a batch are recorded."""
@@ -317,14 +326,13 @@ class Runner:
     def _finish(
         self,
         rows: Int[np.ndarray, "E 3"],
-        state: base.EnvState,
-        places: whereabouts_lib.Whereabouts,
+        lanes: lanes_lib.Lanes,
         history: list[recording_lib.Decision],
     ) -> _Batch:
         """Reads the numbers, visits and recordings of a batch that is over."""
         nav, metrics, places = jax.tree.map(
             lambda leaf: np.asarray(leaf)[: len(rows)],
-            (state.inner.nav, state.metrics, places),
+            (lanes.state.inner.nav, lanes.state.metrics, lanes.places),
         )
         # Oracle movement neither falls nor breaks down, and has no such metrics.
         never = np.zeros(len(rows))

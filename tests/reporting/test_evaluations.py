@@ -14,7 +14,7 @@ from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import low_obs, raster, subgoals
-from eihrl_jax.evaluation import loading, results, rollouts
+from eihrl_jax.evaluation import lanes, loading, results, rollouts
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engines
 from eihrl_jax.reporting import evaluations
@@ -127,9 +127,13 @@ def test_nothing_is_overwritten(evaluation, options):
     assert {path: path.stat().st_mtime_ns for path in options.out.iterdir()} == before
 
 
-def random_walk(num_episodes, *, seeds=(0,), num_recorded=0, preview=None):
-    """Returns the episodes of uniform directions in the Random Square, without noise."""
-    chosen = {"random": mazes.load("random")}
+CORRIDOR = "####\n#S1#\n####\n"
+
+
+def random_walk(num_episodes, *, seeds=(0,), num_recorded=0, preview=None, text=None):
+    """Returns the episodes of uniform directions, by default in the Random Square; no noise."""
+    maze = mazes.parse(text, num_decisions=24) if text else mazes.load("random")
+    chosen = {"random": maze}
     view = raster.View()
     robot = robots.load("point")
     gait = subgoals.gait(robot, None, 3.0, 0.0)
@@ -167,6 +171,24 @@ def test_batches_change_nothing(monkeypatch, limit):
     np.testing.assert_array_equal(together.share, apart.share)
     assert len(together.recordings) == len(apart.recordings) == 2
     np.testing.assert_array_equal(together.recordings[1].qpos, apart.recordings[1].qpos)
+
+
+def test_few_that_are_left_go_on_in_a_smaller_program(monkeypatch):
+    options = {"seeds": (0, 1), "num_recorded": 3, "text": CORRIDOR}
+    whole = random_walk(8, **options)
+    monkeypatch.setattr(lanes, "MIN_DECISIONS", 1)
+    monkeypatch.setattr(lanes, "SHARE", 2)
+    sizes = []
+    thinned = lanes.Lanes.thinned
+    monkeypatch.setattr(
+        lanes.Lanes, "thinned", lambda own: sizes.append(len(own.rows)) or thinned(own)
+    )
+    part = random_walk(8, **options)
+    assert len(sizes) > 1 and sizes[:2] == [16, 8]
+    jax.tree.map(np.testing.assert_array_equal, whole.episodes, part.episodes)
+    np.testing.assert_array_equal(whole.share, part.share)
+    for one, other in zip(whole.recordings, part.recordings, strict=True):
+        np.testing.assert_array_equal(one.qpos, other.qpos)
 
 
 def test_recorded_episodes_can_be_seen_before_all_are_over():
