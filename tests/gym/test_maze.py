@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.utils import env_checker
+from gymnasium.wrappers import vector as wrappers
 
 import eihrl_jax.gym
 from eihrl_jax import base, mazes, robots
@@ -106,6 +107,23 @@ def test_rows_may_have_places_of_their_own():
     obs, _ = envs.reset(seed=0, options={"start_cell": [(6, 2), (5, 6)], "goal_cell": (4, 6)})
     np.testing.assert_allclose(obs[:, :2], [[-6, -6], [6, -3]], atol=0.5)
     np.testing.assert_array_equal(obs[:, -3:-1], [[6, 0], [6, 0]])
+
+
+def test_gymnasiums_own_vectors_and_wrappers_see_the_same():
+    options = {"maze": "u", "robot": "point", "num_decisions": 2}
+    made = [
+        wrappers.NormalizeReward(wrappers.RecordEpisodeStatistics(envs))
+        for mode in ("sync", "vector_entry_point")
+        for envs in [gymnasium.make_vec(eihrl_jax.gym.MAZE_ID, 2, mode, **options)]
+    ]
+    for envs in made:
+        envs.reset(seed=5)
+    # Beyond an end, and the step that begins the next episode.
+    for _ in range(2 * K + 2):
+        one, other = (envs.step(np.ones((2, 2), np.float32)) for envs in made)
+        for mine, theirs in zip(one[:4], other[:4], strict=True):
+            np.testing.assert_allclose(mine, theirs, atol=1e-4)
+    np.testing.assert_allclose(one[0][:, -1], 0.001)
 
 
 @pytest.mark.parametrize("mode", MODES)
