@@ -197,7 +197,7 @@ def test_what_was_reached_before_an_episode_ended_has_no_place_on_their_axis(tmp
 def test_a_table_that_is_none_is_named(folders, undrawn):
     file = folders / "baselines" / "higl-u-0" / "metrics.csv"
     file.write_bytes(bytes(range(128, 256)))
-    with pytest.raises(base.UserError, match=r"higl-u-0.metrics\.csv can't be read"):
+    with pytest.raises(base.UserError, match=r"higl-u-0.metrics\.csv is no text"):
         baseline_curves.section(ours(folders), folders / "baselines", folders / "out")
 
 
