@@ -59,7 +59,7 @@ class EvaluateConfig:
       step: units that oracle movement goes per subgoal.
       sigma: standard deviation in units and per axis of the oracle's random offset.
       anchored: subgoals count from the middle of the robot's cell; none: as in the high level's own
-        training.
+        training, but not where the robot's description says that its low level doesn't know them.
       knows: what is on the map from the start: nothing, the cells of the goal, or the whole map;
         none: as in the high level's own training.
       measured: folder of `experiments.measure_low`, whose mean displacement, standard deviation and

@@ -35,10 +35,14 @@ class _Needs(NamedTuple):
 
     @classmethod
     def of(
-        cls, high: loading.HighLevel, stacked: mazes.Maze, options: evaluate_config.EvaluateConfig
+        cls,
+        high: loading.HighLevel,
+        robot: robot_lib.Robot,
+        stacked: mazes.Maze,
+        options: evaluate_config.EvaluateConfig,
     ) -> "_Needs":
         """Returns the needs in some mazes; subgoals may be asked for that are of the other kind."""
-        anchored = high.anchored if options.anchored is None else options.anchored
+        anchored = high.anchors(robot) if options.anchored is None else options.anchored
         return cls(high.view_in(stacked), anchored)
 
 
@@ -161,7 +165,7 @@ def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> li
             low = None
             if movement == "full":
                 low = options.low[i] if options.low else name
-            needs = [_Needs.of(high, stacked, options) for high in highs]
+            needs = [_Needs.of(high, robot, stacked, options) for high in highs]
             envs = _envs(options, robot, low, stacked, needs)
             # One runner for all high levels with equal needs: those alike share what it compiles.
             runners = {need: rollouts.Runner(env, plan) for need, env in envs.items()}

@@ -43,6 +43,10 @@ class HighLevel:
         rows, columns = stacked.wall.shape[-2:]
         return self.view.covering(rows, columns) if self.takes_any_map else self.view
 
+    def anchors(self, robot: robot_lib.Robot) -> bool:
+        """Returns whether a robot's subgoals are anchored: trained so, and followed so."""
+        return self.anchored and robot.anchored
+
 
 @dataclasses.dataclass(frozen=True)
 class RecordableOracle:

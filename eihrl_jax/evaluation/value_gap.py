@@ -127,7 +127,7 @@ def _oracle_env(stacked: mazes.Maze, high: loading.HighLevel, sigma: float) -> r
     robot = robots.load(ORACLE_ROBOT)
     gait = subgoals.Gait(base.CELL, sigma, postures.for_robot(robot))
     view = high.view_in(stacked)
-    return loading.oracle_env(robot, stacked, view, gait=gait, anchored=high.anchored)
+    return loading.oracle_env(robot, stacked, view, gait=gait, anchored=high.anchors(robot))
 
 
 def _full_env(stacked: mazes.Maze, high: loading.HighLevel, name: str) -> rollouts.Recordable:
@@ -136,7 +136,7 @@ def _full_env(stacked: mazes.Maze, high: loading.HighLevel, name: str) -> rollou
     engine = engines.make(robot, "mujoco")
     low_policy = loading.load_low(name, robot)
     view = high.view_in(stacked)
-    return loading.full_env(engine, stacked, view, low_policy, anchored=high.anchored)
+    return loading.full_env(engine, stacked, view, low_policy, anchored=high.anchors(robot))
 
 
 def _values(

@@ -93,7 +93,7 @@ class LoadedHierarchy:
             stacked,
             self.high.view_in(stacked),
             self.low_policy,
-            anchored=self.high.anchored,
+            anchored=self.high.anchors(self.robot),
         )
         return LoadedMaze(self, loaded, env)
 

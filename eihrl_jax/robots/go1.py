@@ -19,6 +19,7 @@ ROBOT = robot.Robot(
     healthy_z=(0.15, 0.6),
     servo_range=0.25,
     sensors="onboard",
+    anchored=False,  # the shipped low level was trained without, and falls with them
     symmetry=symmetry.Symmetry(mirror_joints=_MIRROR, mirror_controls=_MIRROR),
 )
 """0.02 s per control step, as the robot is driven in Smith et al. 2022, and 4 s per subgoal."""

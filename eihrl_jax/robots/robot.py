@@ -48,6 +48,8 @@ class Robot:
         second.
       sensors: what its low level sees of its state: "all", or "onboard", what a real robot measures
         without outside help: no height and no velocity of the torso, see `envs.low_obs`.
+      anchored: whether its low level follows subgoals that count from the middle of its cell; where
+        not, they count from its torso unless asked otherwise, whatever the high level's training.
       symmetry: how the body maps to itself; None: not at all, or not of use.
     """
 
@@ -68,6 +70,7 @@ class Robot:
     qpos_noise: Annotated[float, limits.Range(0.0, 3.2)] = 0.1
     qvel_noise: Annotated[float, limits.Range(0.0, 10.0)] = 0.1
     sensors: Sensors = "all"
+    anchored: bool = True
     symmetry: symmetry_lib.Symmetry | None = None
 
     def __post_init__(self) -> None:

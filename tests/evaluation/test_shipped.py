@@ -20,6 +20,13 @@ def test_low_levels_load(name):
     assert callable(loading.load_low(name, robots.load(name)))
 
 
+def test_subgoals_are_anchored_where_both_levels_know_them():
+    high, other = loading.load_high("best-random-0"), loading.load_high("paper-random-0")
+    ant, go1 = robots.load("ant"), robots.load("go1")
+    assert high.anchors(ant)
+    assert not high.anchors(go1) and not other.anchors(ant)
+
+
 def test_low_levels_of_a_robot_that_has_changed_since_are_refused(tmp_path):
     robot = robots.load("point")
     params, meta = policies.load(policies.find("point", "low"), kind="low")
