@@ -9,6 +9,7 @@ import numpy as np
 
 from eihrl_jax import base, robots
 from eihrl_jax.physics import posture, scene, stock, trials
+from eihrl_jax.robots import mjcf as mjcf_lib
 from eihrl_jax.robots import robot as robot_lib
 
 _CONTROL_STEP = 0.05
@@ -40,7 +41,7 @@ def propose(mjcf: pathlib.Path) -> robot_lib.Robot:
     if not mjcf.is_file():
         raise base.UserError(f"robot {str(mjcf)!r}: there is no such file")
     try:
-        spec = mujoco.MjSpec.from_file(str(mjcf))
+        spec = mjcf_lib.load(mjcf)
         root = _root(stock.torso(spec))
     except ValueError as error:
         raise base.UserError(f"robot {str(mjcf)!r}: {' '.join(str(error).split())}") from None

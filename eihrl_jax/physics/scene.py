@@ -12,6 +12,7 @@ import numpy as np
 from eihrl_jax import base
 from eihrl_jax.physics import controls, posture, stock
 from eihrl_jax.physics.stock import BOTH, FLOOR_ONLY, WALLS_ONLY
+from eihrl_jax.robots import mjcf
 from eihrl_jax.robots import robot as robot_lib
 
 FLOOR = "scene: floor"
@@ -89,7 +90,7 @@ def build(robot: robot_lib.Robot, cell: float | None = None) -> mujoco.MjModel:
       base.UserError: the MJCF can't be read or compiled, or the description doesn't fit it.
     """
     try:
-        spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+        spec = mjcf.load(robot.mjcf)
         adapted = stock.adapt(spec, robot)
         _set_options(spec, robot)
         _add_surroundings(spec, robot.cell if cell is None else cell, robot.num_walls)
