@@ -57,7 +57,9 @@ def draw(
 
     for name, value, x, y, colour in numbers:
         pen.text((_LEFT + x, _TOP + y), name, palette.MUTED, _font(13))
-        pen.text((_LEFT + x, _TOP + y + 18), value, colour, _font(18, is_bold=True))
+        # The columns are 116 pixels apart: large numbers get small digits.
+        size = 18 if len(value) <= 10 else 13 if len(value) <= 14 else 11
+        pen.text((_LEFT + x, _TOP + y + 18), value, colour, _font(size, is_bold=True))
     if is_fallen:
         pen.text((_LEFT + 116, _TOP + 114), "fallen", palette.ROBOT, _font(18, is_bold=True))
 
@@ -115,7 +117,8 @@ def _patch_picture(patch: Bool[np.ndarray, "P P C"]) -> Image.Image:
     small = Image.fromarray(np.round(255 * picture.colour_patch(patch)).astype(np.uint8))
     large = small.resize((_SIDE, _SIDE), Image.Resampling.NEAREST)
     pen = ImageDraw.Draw(large)
-    for i in range(1, len(patch)):
+    # Between pixels that are larger than the lines.
+    for i in range(1, len(patch)) if _SIDE >= 4 * len(patch) else ():
         at = round(i * _SIDE / len(patch))
         pen.line([(at, 0), (at, _SIDE)], palette.PAPER)
         pen.line([(0, at), (_SIDE, at)], palette.PAPER)
