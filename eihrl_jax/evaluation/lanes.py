@@ -49,8 +49,9 @@ class Lanes(NamedTuple):
         Args:
           num_left: most decisions that one of them has left.
         """
-        num = int(self.is_running.sum())
-        return num_left >= MIN_DECISIONS and 0 < num <= len(self.rows) // SHARE
+        if num_left < MIN_DECISIONS:
+            return False  # without a look at the device, as in most mazes
+        return 0 < int(self.is_running.sum()) <= len(self.rows) // SHARE
 
     def thinned(self) -> "Lanes":
         """Returns the running episodes, filled up with others to the size of the next program."""

@@ -120,6 +120,7 @@ def load_high(
 
     # The folder says what to build; shapes are then compared, so that a damaged one is named.
     told = metas.read(meta, metas.High, path)
+    movement = metas.read(meta.get("movement", {}), metas.Movement, path)
     view = told.view if knows is None else dataclasses.replace(told.view, knows=knows)
     network = actor_critic.make(told.network)
     metas.check_params(
@@ -134,7 +135,7 @@ def load_high(
     # A pytree of the parameters: policies that differ in them alone share what is compiled.
     learned = _Learned(network, told.greedy if greedy is None else greedy)
     policy = jax.tree_util.Partial(learned, params)
-    return HighLevel(name, policy, view, told.movement.anchored, takes_any_map)
+    return HighLevel(name, policy, view, movement.anchored, takes_any_map)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -36,7 +36,6 @@ class High:
     view: raster.View
     network: high_config.Network
     greedy: bool = False
-    movement: Movement = Movement()
 
 
 @limits.dataclass
@@ -68,7 +67,7 @@ class Law:
     lateral_std: float
 
 
-SchemaT = TypeVar("SchemaT", High, Low, Baseline, Law)
+SchemaT = TypeVar("SchemaT", High, Movement, Low, Baseline, Law)
 
 
 def read(meta: policies.Meta, schema: type[SchemaT], path: pathlib.Path) -> SchemaT:
@@ -82,6 +81,8 @@ def read(meta: policies.Meta, schema: type[SchemaT], path: pathlib.Path) -> Sche
     Raises:
       base.UserError: an entry is missing, of another type, or out of its limits.
     """
+    if not isinstance(meta, dict):
+        raise base.UserError(f"{path}: meta.json: {meta!r:.80} must be an object of entries")
     told = {field.name: field for field in dataclasses.fields(schema)}
     for name, field in told.items():
         if field.default is dataclasses.MISSING:
@@ -89,8 +90,6 @@ def read(meta: policies.Meta, schema: type[SchemaT], path: pathlib.Path) -> Sche
 
     # By way of JSON, so that it is checked by what checks configs.
     chosen = {name: meta[name] for name in told if name in meta}
-    if isinstance(chosen.get("movement"), dict):
-        chosen["movement"] = {k: v for k, v in chosen["movement"].items() if k == "anchored"}
     return codec.from_json(schema, json.dumps(chosen), source=f"{path}: meta.json")
 
 

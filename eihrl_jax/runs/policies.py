@@ -104,7 +104,7 @@ def entry(meta: Meta, name: str, path: pathlib.Path) -> Any:
     Raises:
       UserError: there is none.
     """
-    if not isinstance(meta, dict) or name not in meta:
+    if name not in meta:
         raise base.UserError(f"{path}: meta.json lacks {name!r}")
     return meta[name]
 

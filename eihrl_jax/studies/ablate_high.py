@@ -158,9 +158,10 @@ def _evaluation(
     config: AblationConfig, runs: ablation.Ablation[high_config.HighConfig], variant: str
 ) -> evaluate_config.EvaluateConfig:
     """Returns the options with which what was trained alike is evaluated."""
-    unlearned = {paper.RAND_H: evaluate_config.UNIFORM, evaluate_config.FRONTIER: variant}
-    if variant in unlearned:
-        highs = (unlearned[variant],)
+    if variant == paper.RAND_H:
+        highs = (evaluate_config.UNIFORM,)
+    elif variant == evaluate_config.FRONTIER:
+        highs = (variant,)
     else:
         highs = tuple(str(options.run) for options in runs.runs(variant))
 

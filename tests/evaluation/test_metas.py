@@ -35,6 +35,8 @@ def load_changed(name, change, path):
         ("best-random-0", {"view": {"pixels": 1e308}}, "pixels = 1e.308 must be int"),
         ("best-random-0", {"view": {"pixels": 10**30}}, "an integer is beyond"),
         ("best-random-0", {"network": {"kind": "patch"}}, "must be one of|describes no network"),
+        ("best-random-0", {"movement": 3}, "3 must be an object"),
+        ("best-random-0", {"movement": {"anchored": 1}}, "anchored = 1 must be bool"),
         ("best-random-0", {"greedy": "yes"}, "greedy = 'yes' must be bool"),
         ("point", {"hidden": 3}, "hidden = 3 must be a list"),
         ("point", {"hidden": [-1]}, "hidden"),
