@@ -17,6 +17,7 @@ from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import raster
 from eihrl_jax.runs import checkpoint, policies
+from eihrl_jax.storage import reading
 
 Width = Annotated[int, limits.Range(1, 65_536)]
 """Of a layer."""
@@ -70,16 +71,17 @@ class Law:
 SchemaT = TypeVar("SchemaT", High, Movement, Low, Baseline, Law)
 
 
-def read(meta: policies.Meta, schema: type[SchemaT], path: pathlib.Path) -> SchemaT:
+def read(meta: reading.Value, schema: type[SchemaT], path: pathlib.Path) -> SchemaT:
     """Returns what a meta.json says of a schema's fields.
 
     Args:
-      meta: as `policies.load` returned it, or an object inside of it.
+      meta: as `policies.load` returned it, or what stands inside of it.
       schema: one of the dataclasses above.
       path: the policy's folder.
 
     Raises:
-      base.UserError: an entry is missing, of another type, or out of its limits.
+      base.UserError: it is no object, or an entry is missing, of another type, or out of its
+        limits.
     """
     if not isinstance(meta, dict):
         raise base.UserError(f"{path}: meta.json: {meta!r:.80} must be an object of entries")
