@@ -37,12 +37,16 @@ def load(path: pathlib.Path) -> mujoco.MjSpec:
       ValueError: MuJoCo can't read it.
       OSError: it isn't there.
     """
-    _check(path)
+    files(path)
     return mujoco.MjSpec.from_file(str(path))
 
 
-def _check(path: pathlib.Path) -> None:
-    """Checks an MJCF file, those that it includes, and whatever else they name."""
+def files(path: pathlib.Path) -> list[pathlib.Path]:
+    """Lists an MJCF file, those that it includes, and whatever else they name, after checking them.
+
+    Raises:
+      base.UserError, OSError: see `load`.
+    """
     waiting, seen = [path], {path}
     while waiting:
         data = reading.read_bytes(waiting.pop(), limit=MAX_BYTES)
@@ -63,6 +67,7 @@ def _check(path: pathlib.Path) -> None:
                 waiting.append(file)
         if len(waiting) > MAX_FILES:
             raise base.UserError(f"it includes more than {MAX_FILES} files")
+    return sorted(seen)
 
 
 def _inside(value: str) -> pathlib.PurePath:

@@ -254,7 +254,7 @@ def _remove(path: pathlib.Path) -> None:
 def _clean(folder: pathlib.Path) -> None:
     """Removes what a killed save or removal left."""
     for leftover in folder.glob(f"{_HIDDEN}*"):
-        shutil.rmtree(leftover)
+        writing.discard(leftover)
 
 
 def _files(folder: pathlib.Path) -> dict[str, pathlib.Path]:

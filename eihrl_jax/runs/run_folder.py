@@ -1,6 +1,7 @@
 """The folder of one training run: what was run, with what, how it went, and how to go on.
 
     config.json     the options of the last start, as `codec.to_json` writes them
+    sources/        its maze and what else options name, see `sources`
     versions.json   one entry per start: packages, Python, machine, commit, and how far it came
     metrics.csv     one row per `log`, one column per metric, see `metrics_log`
     tensorboard/    the same numbers as events
@@ -24,6 +25,7 @@ from jaxtyping import PyTree
 from eihrl_jax import base
 from eihrl_jax.config import codec
 from eihrl_jax.runs import checkpoint, folders, metrics_log, versions
+from eihrl_jax.runs import sources as sources_lib
 from eihrl_jax.storage import reading, writing
 
 CHECKPOINTS = "checkpoints"
@@ -49,6 +51,7 @@ class RunFolder:
         self._lock = lock
         self._begin = time.monotonic()
         self._config = ""
+        self._sources: sources_lib.Sources = {}
         self._starts: list[dict[str, Json]] = []
         self._metrics = metrics_log.MetricsLog(path)
 
@@ -60,6 +63,7 @@ class RunFolder:
         *,
         resume: bool = False,
         may_change: Collection[str] = (),
+        sources: sources_lib.Sources | None = None,
     ) -> "RunFolder":
         """Starts a run in a new folder, or goes on in an old one.
 
@@ -69,10 +73,12 @@ class RunFolder:
           resume: go on if the folder holds a run; a folder that is absent or empty is started.
           may_change: options that may differ from the run's first start, besides the two that tell
             where the run is and that it goes on.
+          sources: files that options name; in a run that goes on, these are compared in place of
+            their names.
 
         Raises:
           UserError: the folder holds something and `resume` is false; it holds no run, or one with
-            other options; another process is writing to it.
+            other options or files; another process is writing to it.
         """
         if jax.process_index() != 0:
             return cls(path, None)  # The first process looks after the folder for all.
@@ -81,12 +87,15 @@ class RunFolder:
             raise base.UserError(f"{path} holds no run to resume: it has no {_CONFIG}")
         text = codec.to_json(options)
         if is_taken:  # before the lock: a refused start leaves no trace
-            _check_same_options(path / _CONFIG, options, {"run", "resume", *may_change})
+            by_contents = sources_lib.kept(path, sources or {})
+            free = {"run", "resume", *may_change, *by_contents}
+            _check_same_options(path / _CONFIG, options, free)
+            sources_lib.check(path, sources or {})
 
         # Nothing is written before all that can be wrong has been looked at.
         path.mkdir(parents=True, exist_ok=True)
         run = cls(path, folders.take_lock(path))
-        run._config = text
+        run._config, run._sources = text, sources or {}
         run._starts = [*read_starts(path), versions.describe()]
         if not is_taken:
             run._write_start()
@@ -152,8 +161,9 @@ class RunFolder:
             self._metrics.log(step, metrics)
 
     def _write_start(self) -> None:
-        """Writes the options and the versions of this start."""
+        """Writes the options, the versions of this start, and what it is made of."""
         writing.write_text(self.path / _CONFIG, self._config)
+        sources_lib.keep(self.path, self._sources)
         self._write_starts()
 
     def _write_starts(self) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pathlib
+import shutil
 from collections.abc import Iterator
 from typing import BinaryIO
 
@@ -30,7 +31,7 @@ def new_file(path: pathlib.Path) -> Iterator[BinaryIO]:
     """
     # In the same folder: only within one file system is a replacement atomic.
     temporary = path.with_name(f"{TEMPORARY}{path.name}")
-    temporary.unlink(missing_ok=True)  # of a killed process, or a link that somebody has put there
+    discard(temporary)  # of a killed process, or a link that somebody has put there
     try:
         with temporary.open("xb") as file:
             yield file
@@ -41,6 +42,18 @@ def new_file(path: pathlib.Path) -> Iterator[BinaryIO]:
         if isinstance(error, OSError) and error.filename is None:
             error.filename = str(path)
         raise
+
+
+def discard(path: pathlib.Path) -> None:
+    """Removes a file, a folder with all that is in it, or a link and not what it leads to.
+
+    Raises:
+      OSError: it can't be removed.
+    """
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def append(path: pathlib.Path) -> BinaryIO:

@@ -18,7 +18,8 @@ from eihrl_jax.mazes import generators
 from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import policies
-from eihrl_jax.training import loop
+from eihrl_jax.runs import sources as runs_sources
+from eihrl_jax.training import loop, sources
 from eihrl_jax.training import metrics as metrics_lib
 
 State: TypeAlias = Any
@@ -45,6 +46,7 @@ class Arena:
       side_xy: its sides, units.
       baseline: what learns.
       episode_steps: control steps of the longest episode.
+      sources: what the options of maze and robot name, see `runs.sources`.
     """
 
     title: str
@@ -52,6 +54,7 @@ class Arena:
     side_xy: tuple[int, int]
     baseline: interface.Baseline
     episode_steps: int
+    sources: runs_sources.Sources = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
     def advance(self) -> jax.stages.Wrapped:
@@ -121,7 +124,8 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
             f"period = {config.period} must be smaller than the {steps} control steps of an episode"
         )
     baseline = interface.make(World(trained_in, engine.model.nu, env.side_xy, steps), config)
-    return Arena(f"{config.method} in {config.maze}", env, env.side_xy, baseline, steps)
+    made_of = {"maze": sources.of_maze(maze), "robot": sources.of_robot(config.robot)}
+    return Arena(f"{config.method} in {config.maze}", env, env.side_xy, baseline, steps, made_of)
 
 
 def train(config: config_lib.BaselineConfig, watch: loop.Watch | None = None) -> None:
@@ -171,6 +175,10 @@ class _Job(loop.Job[State]):
             may_change=("num_steps",),
             shown={"eval/success": "success", "success": "while exploring"},
         )
+
+    @property
+    def sources(self) -> runs_sources.Sources:
+        return self.arena.sources
 
     @functools.cached_property
     def _keys(self) -> Key[Array, "2"]:

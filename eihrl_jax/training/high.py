@@ -17,7 +17,8 @@ from eihrl_jax.envs import oracle_maze, raster, subgoals, wrappers
 from eihrl_jax.mazes import generators
 from eihrl_jax.networks import actor_critic
 from eihrl_jax.runs import folders, policies
-from eihrl_jax.training import loop, parallel
+from eihrl_jax.runs import sources as runs_sources
+from eihrl_jax.training import loop, parallel, sources
 from eihrl_jax.training import metrics as metrics_lib
 
 _MAY_CHANGE = ("num_devices", "coordinator", "num_processes", "process_id")
@@ -94,6 +95,15 @@ class _Job(loop.Job[LearnerState]):
             unit="decisions",
             units_per_step=decisions_per_update(self.agent),
         )
+
+    @property
+    def sources(self) -> runs_sources.Sources:
+        task = self.config.task
+        return {
+            "task.maze": {} if task.num_rooms else sources.of_maze(self.env.table.mazes),
+            "task.robot": sources.of_robot(task.robot),
+            "task.measured": sources.of_measurement(task.measured),
+        }
 
     def init(self) -> LearnerState:
         return parallel.init(self.agent, self.config.seed, self.mesh)

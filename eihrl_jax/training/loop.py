@@ -23,6 +23,7 @@ from jaxtyping import Array
 from eihrl_jax import base
 from eihrl_jax.runs import checkpoint, policies, run_folder, stopping, versions
 from eihrl_jax.runs import progress as progress_lib
+from eihrl_jax.runs import sources as sources_lib
 
 StateT = TypeVar("StateT")
 
@@ -86,6 +87,11 @@ class Job(Protocol[StateT]):
     def plan(self) -> Plan:
         """What the run trains, and when it does what."""
         ...
+
+    @property
+    def sources(self) -> sources_lib.Sources:
+        """Files by which some options name what the run is made of, by option."""
+        return {}
 
     def init(self) -> StateT:
         """Returns the first state of a run, the same for every start of it."""
@@ -163,7 +169,11 @@ def run(job: Job[StateT], config: Options, watch: Watch | None = None) -> float:
     plan = job.plan
     _check_length(plan, config)  # before the folder's config is written anew
     with run_folder.RunFolder.create(
-        config.run, config, resume=config.resume, may_change=plan.may_change
+        config.run,
+        config,
+        resume=config.resume,
+        may_change=plan.may_change,
+        sources=job.sources,
     ) as folder:
         # Resume: the last checkpoint takes the place of the first state, later rows are dropped.
         state = job.init()

@@ -13,7 +13,8 @@ from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import postures, subgoals
 from eihrl_jax.runs import checkpoint, policies, run_folder
 from eihrl_jax.runs import progress as progress_lib
-from eihrl_jax.training import loop
+from eihrl_jax.runs import sources as runs_sources
+from eihrl_jax.training import loop, sources
 from eihrl_jax.training.low_trainer import LowState, LowTrainer
 
 _NUM_PIECES = 20
@@ -52,6 +53,10 @@ class _Job(loop.Job[LowState]):
             },
             units_per_step=self.config.num_envs,  # an iteration steps every robot once
         )
+
+    @property
+    def sources(self) -> runs_sources.Sources:
+        return {"robot": sources.of_robot(self.config.robot)}
 
     @functools.cached_property
     def _keys(self) -> Key[Array, "3"]:

@@ -42,6 +42,13 @@ def create(path, *, resume=False, **options):
     return run_folder.RunFolder.create(path, Config(**options), resume=resume)
 
 
+def go_on(path, sources, **options):
+    """Starts or resumes a run as far as its files."""
+    config = Config(**options)
+    with run_folder.RunFolder.create(path, config, resume=True, sources=sources) as run:
+        run.restore(STATE)
+
+
 def record(run, steps, save_at=()):
     for step in steps:
         run.log(step, {"success": step / 10, "loss": 1.0 / step})
@@ -184,6 +191,48 @@ def test_what_a_planted_link_leads_to_stays(tmp_path, name):
     except OSError as error:
         assert error.filename and name == ".lock"
     assert precious.read_bytes() == before
+
+
+MAZE = {"preset": {"maze.txt": b"###\n#S#\n"}, "learning_rate": {}}
+
+
+@pytest.mark.parametrize(
+    ("files", "difference"),
+    [
+        ({"maze.txt": b"###\n#.#\n"}, "maze.txt differs in line 2"),
+        ({"maze.txt": b"###\n"}, "maze.txt differs in line 2"),
+        ({"maze.txt": b"\xff"}, "maze.txt differs"),
+        ({"b.txt": b""}, "maze.txt is missing"),
+        (MAZE["preset"] | {"b.txt": b""}, "b.txt is new"),
+    ],
+)
+def test_contents_that_changed_are_named_and_nothing_is_touched(tmp_path, files, difference):
+    go_on(tmp_path / "run", MAZE)
+    before = snapshot(tmp_path)
+    with pytest.raises(base.UserError, match=rf"^preset is not .* with: {difference}; .* kept in"):
+        go_on(tmp_path / "run", {"preset": files})
+    assert snapshot(tmp_path) == before
+
+
+def test_the_same_contents_by_another_name_are_the_same(tmp_path):
+    go_on(tmp_path / "run", MAZE)
+    go_on(tmp_path / "run", MAZE, preset="another path")
+    assert (tmp_path / "run/sources/preset/maze.txt").read_bytes() == MAZE["preset"]["maze.txt"]
+    # Of a run that kept none, names are all that there is to compare; and so where none is named.
+    for kept, named in (({}, MAZE), (MAZE, {"preset": {}})):
+        shutil.rmtree(tmp_path / "run")
+        go_on(tmp_path / "run", kept)
+        with pytest.raises(base.UserError, match="with preset = 'paper'"):
+            go_on(tmp_path / "run", named, preset="another path")
+
+
+@pytest.mark.parametrize("name", [".incomplete-sources", "sources"])
+def test_sources_are_written_through_no_link(tmp_path, name):
+    (tmp_path / "elsewhere").mkdir()
+    go_on(tmp_path / "run", {})
+    (tmp_path / "run" / name).symlink_to(tmp_path / "elsewhere")
+    go_on(tmp_path / "run", MAZE)
+    assert not any((tmp_path / "elsewhere").iterdir())
 
 
 def test_config_is_that_of_the_last_start(tmp_path):

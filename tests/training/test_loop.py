@@ -45,6 +45,7 @@ class Job:
     stop_at: tuple[str, int] = ("never", 0)
     calls: list = dataclasses.field(default_factory=list)
     done: int = 0
+    sources: dict = dataclasses.field(default_factory=dict)
 
     @property
     def plan(self):
