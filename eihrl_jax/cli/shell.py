@@ -189,10 +189,7 @@ def _one_line(box: str) -> str:
 
 
 def _set_compilation_cache() -> None:
-    """Lets JAX keep compiled programs between runs, unless the user has chosen a place already.
-
-    It keeps none that calls back to the host, as the C engine's steps do: these compile each time.
-    """
+    """Lets JAX keep compiled programs between runs, unless the user has chosen a place already."""
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         cache = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(cache / "eihrl_jax"))

@@ -11,7 +11,7 @@ import pytest
 from mujoco import batch
 
 from eihrl_jax import base, robots
-from eihrl_jax.physics import engines
+from eihrl_jax.physics import engines, host_call
 
 CORNER = jnp.array([[2.3, -0.7], [-0.7, 2.3], [2.3, 2.3]])
 """Walls whose faces are 0.8 units right of and above the origin, within an ant's reach."""
@@ -211,6 +211,29 @@ def test_the_c_engine_is_mujoco(ant, standing, parked, random_ctrls):
     for _ in range(ant.robot.num_substeps):
         mujoco.mj_step(ant.model, data)
     np.testing.assert_array_equal(after.qpos[0], data.qpos.astype(np.float32))
+
+
+def test_programs_that_step_the_c_engine_can_be_kept(ant, standing, parked):
+    """Nothing in them belongs to this process: any engine of the same model makes the same one."""
+    start, ctrl, walls_xy = standing(ant, 2), jnp.zeros((2, ant.model.nu)), parked(ant, 2)
+    another, narrower = (engines.make(ant.robot, cell=cell) for cell in (None, 2.0))
+    texts = [
+        jax.jit(jax.vmap(engine.step)).lower(start, ctrl, walls_xy).as_text()
+        for engine in (ant, another, narrower)
+    ]
+    assert texts[0] == texts[1] != texts[2]
+    assert "callback" not in texts[0], "JAX's persistent cache refuses programs with host callbacks"
+
+
+def test_a_host_function_that_fails_says_why():
+    def fail(arguments, results):
+        raise ValueError(f"can't do {arguments[0].tolist()}")
+
+    host_call.register("eihrl_jax.test.fail", fail)
+    shapes = [jax.ShapeDtypeStruct((2,), jnp.float32)]
+    step = jax.jit(lambda x: host_call.call("eihrl_jax.test.fail", fail, shapes, [x])[0])
+    with pytest.raises(jax.errors.JaxRuntimeError, match=r"ValueError: can't do \[1.0, 2.0\]"):
+        step(jnp.array([1.0, 2.0])).block_until_ready()
 
 
 def test_unknown_engine():
