@@ -73,6 +73,20 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
     return f"did you mean {near[0]}? " if near else ""
 
 
+def printable(text: str) -> str:
+    r"""Returns a text in which whatever can't be shown is written as Python writes it.
+
+    Names of files may hold line ends, control codes, and bytes that are no text.
+
+    >>> print(printable("a\nb\x1b[2J"))
+    a\nb\x1b[2J
+    """
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode("ascii")
+        for letter in text
+    )
+
+
 class Stopped(KeyboardInterrupt):
     """A job that the user has stopped with Ctrl-C; its text says what was kept."""
 

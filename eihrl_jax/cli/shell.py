@@ -76,7 +76,7 @@ def _farewell(
 
 def fail(message: str) -> NoReturn:
     """Ends the process with one line about the user's mistake."""
-    print(f"error: {message}", file=sys.stderr)
+    print(f"error: {base.printable(message)}", file=sys.stderr)
     sys.exit(2)
 
 

@@ -1,12 +1,18 @@
 """Figures of matplotlib, without any display: how large, on what ground, and written as PNG."""
 
 import pathlib
+import sys
+import warnings
+from collections.abc import Callable
 
 import matplotlib.axes
 import matplotlib.figure
+import matplotlib.text
 from matplotlib.backends import backend_agg
 
+from eihrl_jax import base
 from eihrl_jax.drawing import palette
+from eihrl_jax.storage import writing
 
 _DPI = 160  # dots per inch: sharp on a page at half its size
 
@@ -26,5 +32,31 @@ def label(axes: matplotlib.axes.Axes, x: str, y: str) -> None:
 
 
 def save(figure: matplotlib.figure.Figure, path: pathlib.Path) -> None:
-    """Writes a figure as PNG."""
-    backend_agg.FigureCanvasAgg(figure).print_png(str(path))
+    """Writes a figure as PNG, whole or not at all; all texts are shown as they are.
+
+    Names of files and runs stand in many of them, which are no formulas, whatever dollars they
+    hold, and may be of letters that the font lacks.
+    """
+    ticks = {
+        label
+        for axes in figure.axes
+        for axis in (axes.xaxis, axes.yaxis)
+        for label in axis.get_ticklabels(which="both")
+    }
+    # But powers of ten along an axis are formulas.
+    for text in set(figure.findobj(matplotlib.text.Text)) - ticks:
+        text.set_parse_math(False)
+        text.set_text("\n".join(map(base.printable, text.get_text().split("\n"))))
+
+    with writing.new_file(path) as file, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
+        backend_agg.FigureCanvasAgg(figure).print_png(file)
+
+
+def attempt(path: pathlib.Path, draw: Callable[[], object]) -> None:
+    """Draws a picture, or says in one line why there is none: numbers don't depend on it."""
+    try:
+        draw()
+    except Exception as error:  # whatever it is: memory, a full disk, a font
+        reason = base.printable(f"{error or type(error).__name__}".partition("\n")[0])
+        print(f"warning: {path} couldn't be drawn: {reason}", file=sys.stderr)

@@ -10,6 +10,7 @@ from PIL import Image
 
 from eihrl_jax import base
 from eihrl_jax.drawing import palette
+from eihrl_jax.storage import writing
 
 FRAME_MILLISECONDS = 50
 _LAST_FRAME_MILLISECONDS = 1800  # so that the end is seen before the loop begins anew
@@ -34,7 +35,7 @@ def check(path: pathlib.Path) -> None:
 
 
 def save(path: pathlib.Path, frames: Iterable[UInt8[np.ndarray, "H W 3"]]) -> None:
-    """Writes frames of one size as a film.
+    """Writes frames of one size as a film, whole or not at all.
 
     Args:
       path: where it goes; its ending tells the format.
@@ -45,7 +46,13 @@ def save(path: pathlib.Path, frames: Iterable[UInt8[np.ndarray, "H W 3"]]) -> No
     """
     check(path)
     if path.suffix == ".mp4":
-        _save_mp4(path, frames)
+        # ffmpeg writes the file itself, and knows its format by its ending.
+        temporary = writing.temporary_of(path)
+        try:
+            _save_mp4(temporary, frames)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
     else:
         _save_gif(path, [Image.fromarray(frame) for frame in frames])
 
@@ -55,14 +62,17 @@ def _save_gif(path: pathlib.Path, frames: list[Image.Image]) -> None:
     # One palette for all frames keeps what does not move identical, and so out of the file.
     colours = _common_palette(frames)
     indexed = [frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames]
-    indexed[0].save(
-        path,
-        save_all=True,
-        append_images=indexed[1:],
-        duration=[FRAME_MILLISECONDS] * (len(indexed) - 1) + [_LAST_FRAME_MILLISECONDS],
-        loop=0,
-        optimize=False,
-    )
+    duration = [FRAME_MILLISECONDS] * (len(indexed) - 1) + [_LAST_FRAME_MILLISECONDS]
+    with writing.new_file(path) as file:
+        indexed[0].save(
+            file,
+            "GIF",
+            save_all=True,
+            append_images=indexed[1:],
+            duration=duration,
+            loop=0,
+            optimize=False,
+        )
 
 
 def _save_mp4(path: pathlib.Path, frames: Iterable[UInt8[np.ndarray, "H W 3"]]) -> None:

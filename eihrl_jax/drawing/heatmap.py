@@ -51,7 +51,7 @@ def save(path: pathlib.Path, visits: Visits) -> None:
     side = base.CELL / whereabouts.BINS_PER_CELL
     x = (np.arange(visits.share.shape[1]) + 0.5) * side
     top.bar(x, visits.share.sum(0), width=side, color=palette.GOAL)
-    top.set_title(visits.title, loc="left", color=palette.INK, weight="bold", parse_math=False)
+    top.set_title(visits.title, loc="left", color=palette.INK, weight="bold")
     y = -(np.arange(visits.share.shape[0]) + 0.5) * side
     right.barh(y, visits.share.sum(1), height=side, color=palette.GOAL)
     for marginal in (top, right):
@@ -75,7 +75,7 @@ def save_together(path: pathlib.Path, visits: Sequence[Visits], *, num_columns: 
     for i, item in enumerate(visits):
         axes = figure.add_subplot(grid[i // num_columns, i % num_columns])
         _draw(axes, item, norm)
-        axes.set_title(item.title, loc="left", color=palette.INK, fontsize=10, parse_math=False)
+        axes.set_title(item.title, loc="left", color=palette.INK, fontsize=10)
         axes.tick_params(labelbottom=False, labelleft=False, length=0)
 
     _add_bar(figure, figure.add_subplot(grid[:, -1]), norm)

@@ -70,8 +70,7 @@ def draw(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, title: str = "") ->
         x, y = centre_xy[number - 1]
         axes.text(x, y, str(number), ha="center", va="center", color=palette.INK, weight="bold")
     figures.label(axes, "x, units", "y, units")
-    # Names of files are no formulas, whatever dollars they hold.
-    axes.set_title(title, loc="left", color=palette.INK, fontsize=10, parse_math=False)
+    axes.set_title(title, loc="left", color=palette.INK, fontsize=10)
 
 
 def add_marks(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, start_colour: str) -> None:
@@ -138,7 +137,7 @@ def draw_patch(
     axes.set_ylim(-half, half)
     axes.spines[:].set_visible(False)
     figures.label(axes, "x from the torso, units", "y from the torso, units")
-    axes.set_title(title, loc="left", color=palette.INK, fontsize=10, parse_math=False)
+    axes.set_title(title, loc="left", color=palette.INK, fontsize=10)
 
 
 def _add_rectangle(axes: matplotlib.axes.Axes, cells: Int[np.ndarray, "4"], **style: Any) -> None:

@@ -44,7 +44,7 @@ def draw(
     pen = ImageDraw.Draw(panel)
     limit, total = int(recording.maze.num_decisions), int(recording.maze.num_goals)
     goal_colour = palette.GOAL_ACHIEVED if num_achieved == total else palette.INK
-    pen.text((_LEFT, _TOP), title, palette.INK, _font(18, is_bold=True))
+    pen.text((_LEFT, _TOP), base.printable(title), palette.INK, _font(18, is_bold=True))
 
     # Name, value, where they stand, and the value's colour.
     numbers = [

@@ -57,7 +57,7 @@ def save(
     axes.set(xlim=(-_EXTENT, _EXTENT), ylim=(-_EXTENT, _EXTENT), aspect="equal")
     since = "since the subgoal was given, units"
     figures.label(axes, f"x {since}", f"y {since}")
-    axes.set_title(title, loc="left", color=palette.INK, weight="bold", parse_math=False)
+    axes.set_title(title, loc="left", color=palette.INK, weight="bold")
     axes.grid(color=palette.MUTED, alpha=0.25, linewidth=0.6)
     axes.spines[:].set_visible(False)
     axes.legend(frameon=False, labelcolor=palette.INK, loc="upper left", fontsize=7)

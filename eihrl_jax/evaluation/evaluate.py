@@ -173,7 +173,7 @@ def _prepare(options: evaluate_config.EvaluateConfig, plan: rollouts.Plan) -> li
                 agent = results.Agent(robot=robot.name, movement=movement, high=high.label, low=low)
                 prepared.append(_Prepared(agent, robot, runners[need], high.policy))
         prepared += [_prepare_baseline(options, robot, name, plan, stacked) for name in whole]
-    _check_names([item.agent for item in prepared])
+    _check_names([item.agent for item in prepared], list(plan.mazes))
     return prepared
 
 
@@ -217,17 +217,21 @@ def _envs(
     return {need: make(view=need.view, anchored=need.anchored) for need in dict.fromkeys(needs)}
 
 
-def _check_names(agents: Sequence[results.Agent]) -> None:
+def _check_names(agents: Sequence[results.Agent], names: Sequence[str]) -> None:
     """Makes sure that no agent's files take the place of another's.
 
     Raises:
-      base.UserError: two agents would have the same name in the files.
+      base.UserError: two agents, or two of them in two mazes, would have the same name in the
+        files.
     """
-    # Characters that paths can't hold are replaced, which may make different labels the same.
-    names = [agent.file_name for agent in agents]
-    for i, (name, agent) in enumerate(zip(names, agents, strict=True)):
-        if name in names[:i]:
-            raise base.UserError(
-                f"high: files of two agents would have the same name, {name}, of {agent.high!r} "
-                "and another; evaluate them one by one"
-            )
+    # Characters that paths can't hold are replaced, which may make different labels the same; and
+    # so may where an agent's name ends and a maze's begins.
+    taken: dict[str, results.Agent] = {}
+    for agent in agents:
+        for name in (agent.file_name, *(agent.file_name_in(maze) for maze in names)):
+            other = taken.setdefault(name, agent)
+            if other is not agent:
+                raise base.UserError(
+                    f"high: files of two agents would have the same name, {name}, of "
+                    f"{agent.high!r} and {other.high!r}; evaluate them one by one"
+                )

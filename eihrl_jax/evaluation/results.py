@@ -25,6 +25,9 @@ FORMAT = 2
 """Of `eval.json`. Files of format 1, which call agents systems and uniform directions random, are
 read too."""
 
+_MAX_NAME = 100
+"""Bytes of an agent's or a maze's part of a file's name; a whole name has 255 at most."""
+
 OUTCOMES = ("solved", "fallen", "unstable", "late")
 """How an episode ends: all goals achieved; else the robot had fallen; else its simulation broke
 down; else it was upright when the last decision was spent."""
@@ -51,7 +54,11 @@ class Agent:
         """Name of the agent in files' names, e.g. `ant-full-uniform`."""
         # Of a path the last part alone, and nothing that a file system could object to.
         words = (self.robot, self.movement, pathlib.PurePath(self.high).name)
-        return re.sub(r"[^\w.-]+", "_", "-".join(words))
+        return writing.short(re.sub(r"[^\w.-]+", "_", "-".join(words)), _MAX_NAME)
+
+    def file_name_in(self, maze: str) -> str:
+        """Returns what the names of its files of one maze begin with."""
+        return f"{self.file_name}-{writing.short(maze, _MAX_NAME)}"
 
 
 class Episodes(struct.PyTreeNode):

@@ -10,7 +10,9 @@ import rich.box
 import rich.console
 import rich.measure
 import rich.table
+import rich.text
 
+from eihrl_jax import base
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.envs import subgoals
 from eihrl_jax.evaluation import paper, results, statistics
@@ -49,7 +51,7 @@ class Table:
 
     def markdown(self) -> str:
         """Returns the table as Markdown, its title in bold."""
-        return f"**{self.title}**\n\n{markdown_grid(self.header, self.rows)}"
+        return f"**{_escaped(self.title)}**\n\n{markdown_grid(self.header, self.rows)}"
 
 
 def markdown_grid(header: list[str], rows: Iterable[list[str]]) -> str:
@@ -61,7 +63,12 @@ def markdown_grid(header: list[str], rows: Iterable[list[str]]) -> str:
     | u | 98.2 |
     """
     lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    return "\n".join(f"| {' | '.join(map(_escaped, line))} |" for line in lines)
+
+
+def _escaped(text: str) -> str:
+    """Returns a text as Markdown shows it, in a cell of a table too."""
+    return re.sub(r"([\\`|<])", r"\\\1", base.printable(text))
 
 
 def percent(success: statistics.Success) -> str:
@@ -263,8 +270,9 @@ def terminal(cells: Sequence[results.Cell]) -> list[rich.table.Table]:
 
 def on_terminal(table: Table) -> rich.table.Table:
     """Returns a table for a `rich` console."""
+    # As `Text`: brackets in names of files are no styles.
     shown = rich.table.Table(
-        title=table.title,
+        title=rich.text.Text(base.printable(table.title)),
         title_justify="left",
         header_style="bold",
         box=rich.box.SIMPLE_HEAD,
@@ -273,9 +281,11 @@ def on_terminal(table: Table) -> rich.table.Table:
 
     # Numbers are read from the right, and a row of a group's details steps back.
     for i, name in enumerate(table.header):
-        shown.add_column(name, justify="left" if i < table.num_words else "right", no_wrap=True)
+        side = "left" if i < table.num_words else "right"
+        shown.add_column(rich.text.Text(base.printable(name)), justify=side, no_wrap=True)
     for row in table.rows:
-        shown.add_row(*row, style="dim" if row[0].startswith("  ") else None)
+        texts = [rich.text.Text(base.printable(text)) for text in row]
+        shown.add_row(*texts, style="dim" if row[0].startswith("  ") else None)
     return shown
 
 

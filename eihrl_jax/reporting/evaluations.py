@@ -8,11 +8,15 @@
     <agent>-ends.png            where episodes ended that failed, if any did
     <agent>-<maze>.gif          an episode, or .mp4
 
-An agent's name consists of its robot, movement and high level, e.g. `ant-full-uniform`.
+An agent's name consists of its robot, movement and high level, e.g. `ant-full-uniform`. Numbers are
+written before pictures, and a picture that can't be drawn costs nothing else.
 """
 
 import collections
 import csv
+import dataclasses
+import functools
+import io
 import itertools
 import json
 import pathlib
@@ -22,7 +26,7 @@ import numpy as np
 
 from eihrl_jax.config import changes, codec
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.drawing import animation, film, heatmap
+from eihrl_jax.drawing import animation, figures, film, heatmap
 from eihrl_jax.drawing import endings as endings_lib
 from eihrl_jax.evaluation import evaluate as evaluation_lib
 from eihrl_jax.evaluation import recording, results, rollouts, tables
@@ -30,6 +34,8 @@ from eihrl_jax.physics import kinematics, scene
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import folders, versions
 from eihrl_jax.storage import writing
+
+_MAX_LABEL = 40  # letters, of a name above a picture
 
 _EPISODE_COLUMNS = (
     *("robot", "movement", "high", "low", "maze", "seed", "episode", "achieved", "goals"),
@@ -67,10 +73,9 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
         options = changes.apply(options, changed)
     if options.animate != "none":
         film.check(pathlib.Path(f"film.{options.format}"))  # before hours are spent
-    with folders.reserved(options.out):
-        # Agent by agent, so that what is done stays if a later one fails.
-        cells: list[results.Cell] = []
-        seconds: dict[str, float] = {}
+    task = codec.to_json(dataclasses.replace(options, out=pathlib.Path()))
+    with folders.reserved(options.out, task):
+        numbers = _Numbers(options)
         animated: set[results.Agent] = set()
 
         def animate_once(evaluated: evaluation_lib.Evaluated) -> None:
@@ -79,28 +84,39 @@ def evaluate(options: evaluate_config.EvaluateConfig) -> results.Evaluation:
                 _animate(evaluated, options)
 
         for evaluated in evaluation_lib.run(options, animate_once):
-            cells += evaluated.cells()
-            seconds[evaluated.agent.file_name] = round(evaluated.seconds, 2)
-            _write(evaluated, options)
+            numbers.add(evaluated)
+            if options.heatmaps:
+                _draw_heatmaps(options.out, evaluated)
+                _draw_endings(options.out, evaluated)
             animate_once(evaluated)
+    return numbers.evaluation
 
-        about = {
+
+class _Numbers:
+    """The numbers of an evaluation, in files that are whole after every agent."""
+
+    def __init__(self, options: evaluate_config.EvaluateConfig):
+        """Begins without any."""
+        self._out = options.out
+        self._about = {
             "config": json.loads(codec.to_json(options)),
             "versions": versions.describe(),
-            "seconds": seconds,
+            "seconds": {},
         }
-        evaluation = results.Evaluation(about=about, cells=tuple(cells))
-        results.save(options.out / "eval.json", evaluation)
-        writing.write_text(options.out / "tables.md", tables.markdown(evaluation.cells))
-    return evaluation
+        self._episodes = io.StringIO()
+        csv.writer(self._episodes).writerow(_EPISODE_COLUMNS)
+        self.evaluation = results.Evaluation(cells=())
 
+    def add(self, evaluated: evaluation_lib.Evaluated) -> None:
+        """Adds what one agent has done, and writes all that there is."""
+        self._about["seconds"][evaluated.agent.file_name] = round(evaluated.seconds, 2)
+        cells = (*self.evaluation.cells, *evaluated.cells())
+        self.evaluation = results.Evaluation(about=self._about, cells=cells)
+        _add_episodes(self._episodes, evaluated)
 
-def _write(evaluated: evaluation_lib.Evaluated, options: evaluate_config.EvaluateConfig) -> None:
-    """Writes the episodes of one agent, and draws where it was, if the options ask for that."""
-    _write_episodes(options.out / "episodes.csv", evaluated)
-    if options.heatmaps:
-        _draw_heatmaps(options.out, evaluated)
-        _draw_endings(options.out, evaluated)
+        writing.write_text(self._out / "episodes.csv", self._episodes.getvalue())
+        writing.write_text(self._out / "tables.md", tables.markdown(cells))
+        results.save(self._out / "eval.json", self.evaluation)
 
 
 def _animate(evaluated: evaluation_lib.Evaluated, options: evaluate_config.EvaluateConfig) -> None:
@@ -113,33 +129,32 @@ def _animate(evaluated: evaluation_lib.Evaluated, options: evaluate_config.Evalu
         if options.animate == "failed":
             chosen, ending = _failed(evaluated, name)
         if chosen is not None:
-            file = f"{evaluated.agent.file_name}-{name}{ending}.{options.format}"
-            animate(options.out / file, chosen, evaluated.robot, _label(name), options.camera)
-
-
-def _write_episodes(path: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:
-    """Appends the episodes of one agent, below a header if there are none yet."""
-    agent, is_new = evaluated.agent, not path.exists()
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file)
-        if is_new:
-            writer.writerow(_EPISODE_COLUMNS)
-
-        for maze, rollout in evaluated.rollouts.items():
-            episodes, num_goals = rollout.episodes, int(evaluated.mazes[maze].num_goals)
-            columns = (
-                *(episodes.seed.tolist(), episodes.achieved.tolist(), episodes.returns.tolist()),
-                *(episodes.decisions.tolist(), episodes.has_fallen.tolist()),
-                episodes.outcomes(num_goals),
-                [""] * len(episodes.seed) if episodes.shortest is None else episodes.shortest,
-                episodes.end_xy.astype(float).round(2).tolist(),
+            file = f"{evaluated.agent.file_name_in(name)}{ending}.{options.format}"
+            parts = chosen, evaluated.robot, _label(name), options.camera
+            figures.attempt(
+                options.out / file, functools.partial(animate, options.out / file, *parts)
             )
-            numbers = collections.defaultdict[int, Iterator[int]](itertools.count)  # by seed
-            for seed, achieved, paid, decisions, fell, *rest in zip(*columns, strict=True):
-                row = [agent.robot, agent.movement, agent.high, agent.low or "", maze, seed]
-                row += [next(numbers[seed]), achieved, num_goals, paid, decisions, int(fell)]
-                outcome, moves, end_xy = rest
-                writer.writerow([*row, outcome, moves, *end_xy])
+
+
+def _add_episodes(file: io.StringIO, evaluated: evaluation_lib.Evaluated) -> None:
+    """Adds the episodes of one agent to a table."""
+    agent, writer = evaluated.agent, csv.writer(file)
+    for maze, rollout in evaluated.rollouts.items():
+        episodes, num_goals = rollout.episodes, int(evaluated.mazes[maze].num_goals)
+        columns = (
+            *(episodes.seed.tolist(), episodes.achieved.tolist(), episodes.returns.tolist()),
+            *(episodes.decisions.tolist(), episodes.has_fallen.tolist()),
+            episodes.outcomes(num_goals),
+            [""] * len(episodes.seed) if episodes.shortest is None else episodes.shortest,
+            episodes.end_xy.astype(float).round(2).tolist(),
+        )
+
+        numbers = collections.defaultdict[int, Iterator[int]](itertools.count)  # by seed
+        for seed, achieved, paid, decisions, fell, *rest in zip(*columns, strict=True):
+            row = [agent.robot, agent.movement, agent.high, agent.low or "", maze, seed]
+            row += [next(numbers[seed]), achieved, num_goals, paid, decisions, int(fell)]
+            outcome, moves, end_xy = rest
+            writer.writerow([*row, outcome, moves, *end_xy])
 
 
 def _draw_heatmaps(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:
@@ -153,9 +168,11 @@ def _draw_heatmaps(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> No
     }
 
     for name, item in visits.items():
-        heatmap.save(out / f"{agent.file_name}-{name}-heatmap.png", item)
+        path = out / f"{agent.file_name_in(name)}-heatmap.png"
+        figures.attempt(path, functools.partial(heatmap.save, path, item))
     if len(visits) > 1:
-        heatmap.save_together(out / f"{agent.file_name}-heatmaps.png", list(visits.values()))
+        path, every = out / f"{agent.file_name}-heatmaps.png", list(visits.values())
+        figures.attempt(path, functools.partial(heatmap.save_together, path, every))
 
 
 def _draw_endings(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> None:
@@ -170,7 +187,8 @@ def _draw_endings(out: pathlib.Path, evaluated: evaluation_lib.Evaluated) -> Non
         for name, rollout in evaluated.rollouts.items()
     ]
     if any(outcome != "solved" for item in endings for outcome in item.outcomes):
-        endings_lib.save(out / f"{evaluated.agent.file_name}-ends.png", endings)
+        path = out / f"{evaluated.agent.file_name}-ends.png"
+        figures.attempt(path, functools.partial(endings_lib.save, path, endings))
 
 
 def _failed(
@@ -219,7 +237,8 @@ def animate(
 
 def _label(maze: str) -> str:
     """Returns the name of a maze in pictures, the paper's where it has one."""
-    return tables.TABLE1_MAZES.get(maze, maze)
+    label = tables.TABLE1_MAZES.get(maze, maze)
+    return label if len(label) <= _MAX_LABEL else f"{label[: _MAX_LABEL - 1]}…"
 
 
 def typical(rollout: rollouts.Rollout) -> recording.Recording:

@@ -1,10 +1,11 @@
 """A run's learning curve, drawn into its folder while it trains and at the end."""
 
+import contextlib
 import dataclasses
 import pathlib
 
 from eihrl_jax import base
-from eihrl_jax.drawing import curves
+from eihrl_jax.drawing import curves, figures
 from eihrl_jax.runs import metrics_log, run_folder
 
 FILE = "learning_curve.png"
@@ -78,12 +79,14 @@ def draw(run: pathlib.Path) -> pathlib.Path:
 
 
 def renew(run: pathlib.Path) -> None:
-    """Draws the curve of a run that goes on, if there is something to draw."""
-    try:
-        draw(run)
-    except base.UserError:
-        # Not worth the run: the first rows may have no number.
-        return
+    """Draws the curve of a run that goes on, if there is something to draw and it can be drawn."""
+
+    def draw_if_any() -> None:
+        # The first rows may have no number.
+        with contextlib.suppress(base.UserError):
+            draw(run)
+
+    figures.attempt(run / FILE, draw_if_any)
 
 
 def _is_dense(run: pathlib.Path) -> bool:

@@ -3,7 +3,7 @@
 import json
 
 from eihrl_jax.config import measure as measure_config
-from eihrl_jax.drawing import scatter
+from eihrl_jax.drawing import figures, scatter
 from eihrl_jax.envs import postures, subgoals
 from eihrl_jax.evaluation import measure as measure_lib
 from eihrl_jax.runs import folders, versions
@@ -39,11 +39,11 @@ def _write(measured: measure_lib.Measurement, options: measure_config.MeasureCon
     text = json.dumps(document | drift | about | {"versions": versions.describe()}, indent=2)
     writing.write_text(options.out / subgoals.FILE, text + "\n")
 
-    # Of open floor: among walls the ends say as much about the rooms.
-    ends = measure_lib.end_points(measured.steps)
-    title = f"{robot.name}, {subgoals.OPEN}"
-    scatter.save(options.out / "subgoals.png", ends, title, options.sigma)
-
     # Beside the figures, so that the high level can be trained with both, see `subgoals.gait`.
     bank = measured.postures(options.num_postures)
     postures.save(bank, options.out / subgoals.POSTURES, robot)
+
+    # Of open floor: among walls the ends say as much about the rooms.
+    path, ends = options.out / "subgoals.png", measure_lib.end_points(measured.steps)
+    title = f"{robot.name}, {subgoals.OPEN}"
+    figures.attempt(path, lambda: scatter.save(path, ends, title, options.sigma))

@@ -8,7 +8,7 @@ import numpy as np
 
 from eihrl_jax import base, robots
 from eihrl_jax.config import robot as robot_config
-from eihrl_jax.drawing import robot_views
+from eihrl_jax.drawing import figures, robot_views
 from eihrl_jax.physics import kinematics, proposal, scene, trials
 from eihrl_jax.robots import files
 from eihrl_jax.runs import folders
@@ -56,7 +56,8 @@ def try_out(options: robot_config.RobotConfig) -> Trial:
         qpos = jnp.asarray(model.key_qpos[0], jnp.float32)
         capsules = jax.tree.map(np.asarray, kinematics.capsules(model)(qpos))
         title = f"{robot.name} in a cell of {robot.cell:g} m"
-        robot_views.save(options.out / "robot.png", capsules, robot.cell, title)
+        path = options.out / "robot.png"
+        figures.attempt(path, lambda: robot_views.save(path, capsules, robot.cell, title))
 
     upright = trials.seconds_upright(model, robot)
     return Trial(description, trials.size(model), upright, trials.faults(model, robot))

@@ -7,7 +7,7 @@ import numpy as np
 
 from eihrl_jax import mazes
 from eihrl_jax.config import value_gap as gap_config
-from eihrl_jax.drawing import curves, palette
+from eihrl_jax.drawing import curves, figures, palette
 from eihrl_jax.evaluation import tables
 from eihrl_jax.evaluation import value_gap as gap_lib
 from eihrl_jax.runs import folders, versions
@@ -30,7 +30,7 @@ def compare(options: gap_config.ValueGapConfig) -> list[gap_lib.Gap]:
     with folders.reserved(options.out):
         gaps = gap_lib.compare(options)
         _write(options, gaps)
-        _draw(options, gaps)
+        figures.attempt(options.out / "gap.png", lambda: _draw(options, gaps))
     return gaps
 
 

@@ -7,29 +7,42 @@ import pathlib
 from collections.abc import Iterator
 
 from eihrl_jax import base
-from eihrl_jax.storage import writing
+from eihrl_jax.storage import reading, writing
 
 LOCK = ".lock"
 """Name of the file by which a process keeps others out of its folder."""
 
+UNFINISHED = f"{writing.TEMPORARY}task"
+"""Name of the file that says what a folder was being filled with when its process was killed."""
+
 
 @contextlib.contextmanager
-def reserved(out: pathlib.Path) -> Iterator[None]:
+def reserved(out: pathlib.Path, task: str = "") -> Iterator[None]:
     """Makes a folder and keeps other processes out of it, so that nothing can be overwritten.
 
     A folder in which nothing has been written by the end is removed again.
 
+    Args:
+      out: the folder.
+      task: what it is filled with; where a process with the same task was stopped, its folder is
+        taken up again. Empty: none is.
+
     Raises:
       base.UserError: `out` is a file, or a folder with something in it, or being filled.
     """
-    _check_empty(out)
+    _check_empty(out, task)
     out.mkdir(parents=True, exist_ok=True)
     lock = take_lock(out)
 
     try:
-        _check_empty(out)  # another may have filled it since
+        _check_empty(out, task)  # another may have filled it since
+        if task:
+            writing.write_text(out / UNFINISHED, task)
         yield
+        (out / UNFINISHED).unlink(missing_ok=True)
     finally:
+        if not holds_something(out):
+            (out / UNFINISHED).unlink(missing_ok=True)
         # Unlinked while it is still locked, or another's new lock could be the one removed.
         (out / LOCK).unlink()
         os.close(lock)
@@ -37,8 +50,11 @@ def reserved(out: pathlib.Path) -> Iterator[None]:
             out.rmdir()
 
 
-def _check_empty(out: pathlib.Path) -> None:
-    if holds_something(out):
+def _check_empty(out: pathlib.Path, task: str) -> None:
+    if not holds_something(out):
+        return
+    file = out / UNFINISHED
+    if not task or not file.is_file() or reading.read_text(file) != task:
         raise base.UserError(f"out = {out} is not empty; name a new or empty folder")
 
 

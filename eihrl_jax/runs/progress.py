@@ -50,8 +50,13 @@ class Progress:
         # Elsewhere control codes would fill a log: there lines are printed instead.
         self._bar: rich.progress.Progress | None = None
         if self._console.is_terminal:
-            columns = ("{task.description}", rich.progress.BarColumn(), "{task.fields[text]}")
-            self._bar = rich.progress.Progress(*columns, console=self._console)
+            # Brackets in names of files are no styles.
+            words, numbers = (
+                rich.progress.TextColumn(form, markup=False)
+                for form in ("{task.description}", "{task.fields[text]}")
+            )
+            bar = rich.progress.BarColumn()
+            self._bar = rich.progress.Progress(words, bar, numbers, console=self._console)
             self._task = self._bar.add_task(title, total=total, completed=done, text="")
 
     def __enter__(self) -> "Progress":

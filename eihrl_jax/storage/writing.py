@@ -1,6 +1,7 @@
 """Writes files whole: a kill leaves the old one or the new one, and no link is written through."""
 
 import contextlib
+import hashlib
 import os
 import pathlib
 import shutil
@@ -10,11 +11,13 @@ from typing import BinaryIO
 TEMPORARY = ".incomplete-"
 """What names of unfinished files and folders begin with."""
 
+_MAX_NAME = 255  # bytes, of every common file system
+
 
 def write_text(path: pathlib.Path, text: str) -> None:
-    """Writes a text in UTF-8, see `new_file`."""
+    """Writes a text in UTF-8, see `new_file`; bytes of names that are no text are escaped."""
     with new_file(path) as file:
-        file.write(text.encode("utf-8"))
+        file.write(text.encode("utf-8", "backslashreplace"))
 
 
 @contextlib.contextmanager
@@ -30,7 +33,7 @@ def new_file(path: pathlib.Path) -> Iterator[BinaryIO]:
       OSError: it can't be written; the error has its name.
     """
     # In the same folder: only within one file system is a replacement atomic.
-    temporary = path.with_name(f"{TEMPORARY}{path.name}")
+    temporary = temporary_of(path)
     discard(temporary)  # of a killed process, or a link that somebody has put there
     try:
         with temporary.open("xb") as file:
@@ -42,6 +45,20 @@ def new_file(path: pathlib.Path) -> Iterator[BinaryIO]:
         if isinstance(error, OSError) and error.filename is None:
             error.filename = str(path)
         raise
+
+
+def temporary_of(path: pathlib.Path) -> pathlib.Path:
+    """Returns where what will be at `path` stands while it is unfinished, in the same folder."""
+    return path.with_name(f"{TEMPORARY}{short(path.name, _MAX_NAME - len(TEMPORARY))}")
+
+
+def short(name: str, limit: int) -> str:
+    """Returns a name of a file, cut where it has more bytes; cut ones end in a checksum."""
+    data = os.fsencode(name)
+    if len(data) <= limit:
+        return name
+    digest = hashlib.sha256(data).hexdigest()[:8]
+    return data[: limit - 9].decode("utf-8", "ignore") + f"-{digest}"
 
 
 def discard(path: pathlib.Path) -> None:

@@ -14,7 +14,7 @@ from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import low_obs, raster, subgoals
-from eihrl_jax.evaluation import lanes, loading, results, rollouts
+from eihrl_jax.evaluation import lanes, loading, results, rollouts, tables
 from eihrl_jax.networks import droq, patch_actor_critic
 from eihrl_jax.physics import engines
 from eihrl_jax.reporting import evaluations
@@ -300,11 +300,72 @@ def test_unknown_things_are_refused_before_anything_is_written(options, tmp_path
     assert not changed.out.exists()
 
 
-def test_agents_whose_files_would_have_the_same_name_are_refused(options, folder, tmp_path):
-    shutil.copytree(folder / "high", tmp_path / "other" / "high")
-    both = (str(folder / "high"), str(tmp_path / "other" / "high"))
-    changed = dataclasses.replace(options, out=tmp_path / "out", high=both)
-    with pytest.raises(base.UserError, match="the same name, point-oracle-high"):
+@pytest.mark.parametrize(
+    ("name", "mazes_", "same"),
+    [("high", ["a"], "point-oracle-high,"), ("high-b", ["b-c", "c"], "point-oracle-high-b-c,")],
+)
+def test_agents_whose_files_would_have_the_same_name_are_refused(
+    options, folder, tmp_path, name, mazes_, same
+):
+    shutil.copytree(folder / "high", tmp_path / "other" / name)
+    both = (str(folder / "high"), str(tmp_path / "other" / name))
+    files = [tmp_path / f"{maze}.txt" for maze in mazes_]
+    for file in files:
+        file.write_text(OWN_MAZE)
+    changed = dataclasses.replace(
+        options, out=tmp_path / "out", high=both, mazes=tuple(map(str, files))
+    )
+    with pytest.raises(base.UserError, match=f"the same name, {same}"):
+        evaluations.evaluate(changed)
+
+
+def test_names_are_text_and_numbers_need_no_picture(tmp_path, monkeypatch, capsys):
+    names = ["cost$a_^b$", "maze[bold]|x", "x" * 240, "new\nline"]
+    files = [tmp_path / f"{name}.txt" for name in names]
+    for file in files:
+        file.write_text(CORRIDOR)
+    options = evaluate_config.EvaluateConfig(
+        mazes=tuple(map(str, files)),
+        robot=("point",),
+        movement=("oracle",),
+        high=("uniform",),
+        episodes=1,
+        seeds=(0,),
+        num_decisions=1,
+        animate="none",
+        out=tmp_path / "out",
+    )
+
+    def fail(*_):
+        raise MemoryError("the drawing\nis too large")
+
+    monkeypatch.setattr(evaluations.heatmap, "save_together", fail)
+    cells = evaluations.evaluate(options).cells
+    assert [cell.maze for cell in cells] == names
+    assert "drawn: the drawing\n" in capsys.readouterr().err
+    assert results.load(options.out / "eval.json").cells == cells
+    assert r"| maze[bold]\|x |" in (options.out / "tables.md").read_text()
+    tables.show(tables.terminal(cells))
+    shown = capsys.readouterr().out
+    assert "maze[bold]|x " in shown and r"new\nline" in shown
+    pictures = {path.name for path in options.out.glob("*-heatmap.png")}
+    assert "point-oracle-uniform-cost$a_^b$-heatmap.png" in pictures and len(pictures) == 4
+
+
+def test_an_evaluation_that_was_stopped_begins_anew_in_its_folder(options, tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    oracle = {"movement": ("oracle",), "low": (), "episodes": 1, "animate": "none"}
+    changed = dataclasses.replace(options, out=tmp_path / "out", **oracle)
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(evaluations.heatmap, "save", stop)
+        evaluations.evaluate(changed)
+    (cell, *_) = results.load(changed.out / "eval.json").cells  # numbers come first
+    with pytest.raises(base.UserError, match="not empty"):
+        evaluations.evaluate(dataclasses.replace(changed, episodes=2))
+    assert evaluations.evaluate(changed).cells[0] == cell
+    with pytest.raises(base.UserError, match="not empty"):
         evaluations.evaluate(changed)
 
 

@@ -137,7 +137,7 @@ def test_page_is_well_formed_and_needs_nothing_else(sections, tmp_path):
 
 def test_tables_come_as_markdown_too(sections):
     assert page.markdown(sections) == (
-        "**Rooms <9x9>**\n\n|  | success % |\n| --- | --- |\n| ours & theirs | ≤ 1 |\n"
+        "**Rooms \\<9x9>**\n\n|  | success % |\n| --- | --- |\n| ours & theirs | ≤ 1 |\n"
         "| paper | 2 |\n"
     )
 
