@@ -210,8 +210,9 @@ class GoalObs(struct.PyTreeNode):
     Attributes:
       xy: float32 [2], the torso's position, units.
       proprioception: float32 [P], qpos without x and y, then qvel; units, radians, per second.
-      goal_xy: float32 [2], centre of the current goal, units; once all have been visited, `xy`, as
-        dense reward then pays as if the goal were where the robot is.
+      goal_xy: float32 [2], where the current goal is, units: the centre of its region, or of its
+        nearest cell where it is in several parts; once all have been visited, `xy`, as dense reward
+        then pays as if the goal were where the robot is.
       time: float32, control steps since the episode's start / `TIME_UNIT`.
     """
 

@@ -164,8 +164,10 @@ def has_arrived(period: Period, reward: base.Reward) -> Bool[Array, "*P k N"]:
     """
     if reward == "dense":
         return jnp.zeros(period.is_running.shape, bool)
-    # A goal only changes where it is reached: to the next one, or to the robot's own place.
-    is_new_goal = (period.next_obs.goal_xy != period.obs.goal_xy).any(-1) & period.is_running
+    # Where a goal is reached another one follows, or the robot's own place; without pay it is
+    # another place of the same goal that has become the nearest.
+    has_changed = (period.next_obs.goal_xy != period.obs.goal_xy).any(-1)
+    is_new_goal = has_changed & (period.reward > 0.0) & period.is_running
     return jnp.cumsum(is_new_goal, axis=-2) > 0
 
 

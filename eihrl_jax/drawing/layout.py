@@ -64,10 +64,10 @@ def draw(axes: matplotlib.axes.Axes, maze: maze_lib.Maze, *, title: str = "") ->
     axes.imshow(image, extent=extent(maze), interpolation="nearest")
 
     add_marks(axes, maze, start_colour=palette.INK)
-    # A region's number stands once, in the middle of its cells.
-    centre_xy = np.asarray(maze_lib.goal_centres(maze))
+    # A region's number stands once, in the middle of its cells or in one of them.
+    places = maze_lib.goal_places(goal)
     for number in np.unique(goal[goal > 0]):
-        x, y = centre_xy[number - 1]
+        x, y = places[number - 1][0]
         axes.text(x, y, str(number), ha="center", va="center", color=palette.INK, weight="bold")
     figures.label(axes, "x, units", "y, units")
     axes.set_title(title, loc="left", color=palette.INK, fontsize=10)

@@ -141,7 +141,7 @@ class GoalMaze:
         obs = base.GoalObs(
             xy=xy,
             proprioception=inner.physics.proprioception,
-            goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, inner.nav)),
+            goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, inner.nav, xy)),
             time=steps / base.TIME_UNIT,
         )
 

@@ -41,7 +41,8 @@ class MazeTable(struct.PyTreeNode):
       num_starts: int32 [M].
       num_doors: int32 [M], at least 1.
       num_both: int32 [M], cells that are both, which stand first in both lists.
-      goal_xy: float32 [M, 9, 2], centres of the goal regions, units; 0 for an absent goal.
+      goal_xy: float32 [M, 9, P, 2], where the goals are, units: P places each, of which the nearest
+        counts, see `mazes.maze.goal_places`; padded to the longest list.
       margin: m, at least 1 and at least what a map shows to every side.
     """
 
@@ -52,7 +53,7 @@ class MazeTable(struct.PyTreeNode):
     num_starts: Int[Array, "M"]
     num_doors: Int[Array, "M"]
     num_both: Int[Array, "M"]
-    goal_xy: Float[Array, "M 9 2"]
+    goal_xy: Float[Array, "M 9 P 2"]
     margin: int = struct.field(pytree_node=False)
 
     @property
@@ -110,6 +111,10 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
     starts = [b + paths.cells(mask) for b, mask in zip(both, start & ~door, strict=True)]
     doors = [b + paths.cells(mask) for b, mask in zip(both, door & ~start, strict=True)]
     doors = [cells or [(NO_DOOR, NO_DOOR)] for cells in doors]
+    # Rarely more than one place of a goal; padded with places of the same one.
+    places = [maze_lib.goal_places(goal) for goal in np.asarray(mazes.goal)]
+    longest = max(len(xy) for of_maze in places for xy in of_maze)
+    goal_xy = [[np.resize(xy, (longest, 2)) for xy in of_maze] for of_maze in places]
     return MazeTable(
         mazes=mazes,
         codes=jnp.pad(
@@ -122,7 +127,7 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
         num_starts=jnp.array([len(cells) for cells in starts], jnp.int32),
         num_doors=jnp.array([len(cells) for cells in doors], jnp.int32),
         num_both=jnp.array([len(cells) for cells in both], jnp.int32),
-        goal_xy=jax.vmap(maze_lib.goal_centres)(mazes),
+        goal_xy=jnp.array(goal_xy, jnp.float32),
         margin=margin,
     )
 
@@ -223,10 +228,10 @@ def success(table: MazeTable, nav: Navigation) -> Float[Array, ""]:
     return visited / _of(table.mazes.num_goals, nav.maze).astype(jnp.float32)
 
 
-def current_goal_xy(table: MazeTable, nav: Navigation) -> Float[Array, "2"]:
-    """Returns the centre of the unvisited goal with the lowest number, units.
+def current_goal_xy(table: MazeTable, nav: Navigation, xy: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Returns where the unvisited goal with the lowest number is, seen from `xy`, units.
 
-    Once all have been visited, it is that of the last one.
+    Once all have been visited, it is that of the last one. See `mazes.maze.goal_places`.
     """
     # `visited` has nine entries in every maze; those without a goal stay False.
     last = _of(table.mazes.num_goals, nav.maze) - 1
@@ -235,7 +240,9 @@ def current_goal_xy(table: MazeTable, nav: Navigation) -> Float[Array, "2"]:
     # In a maze with door candidates goal 1 is the open door.
     is_door = (current == 0) & (nav.door_ij[0] != NO_DOOR)
     door_xy = maze_lib.cell_xy(nav.door_ij)
-    return jnp.where(is_door, door_xy, _of(table.goal_xy, nav.maze)[current])
+    places = _of(table.goal_xy, nav.maze)[current]
+    nearest = jnp.argmin(((places - xy[None]) ** 2).sum(-1)) if len(places) > 1 else 0
+    return jnp.where(is_door, door_xy, places[nearest])
 
 
 def dense_reward(table: MazeTable, nav: Navigation, xy: Float[Array, "2"]) -> Float[Array, ""]:
@@ -243,7 +250,7 @@ def dense_reward(table: MazeTable, nav: Navigation, xy: Float[Array, "2"]) -> Fl
 
     Once all goals have been visited, the reward is that of having arrived, 1.
     """
-    distance = jnp.sqrt(((current_goal_xy(table, nav) - xy) ** 2).sum())
+    distance = jnp.sqrt(((current_goal_xy(table, nav, xy) - xy) ** 2).sum())
     current = jnp.argmin(nav.visited)
     has_arrived = nav.visited[current] | (current >= _of(table.mazes.num_goals, nav.maze))
     return jnp.where(has_arrived, 1.0, 1.0 / (1.0 + distance))

@@ -146,7 +146,7 @@ class MazeTask:
         return np.asarray(regions[i, j])
 
     def _check_goal(self) -> None:
-        """Checks that there is one goal, and that it can be told by one place.
+        """Checks that there is one goal.
 
         Raises:
           base.UserError: it isn't so.
@@ -155,10 +155,6 @@ class MazeTask:
             raise base.UserError(
                 f"observation = 'goal' is for mazes of one goal, this one has {self.maze.num_goals}"
             )
-        goal = np.argwhere(np.asarray(self.maze.maze.goal))
-        middle = np.floor(goal.mean(0) + 0.5).astype(int) if len(goal) else None
-        if middle is not None and not (goal == middle).all(1).any():
-            raise base.UserError("observation = 'goal' is for goals whose middle is in the region")
 
 
 @functools.lru_cache(maxsize=16)

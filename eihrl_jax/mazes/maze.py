@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, Num, UInt8
+from scipy import ndimage
 
 from eihrl_jax import base
 
@@ -105,17 +106,30 @@ def draw_start(maze: Maze, key: Key[Array, ""]) -> Float[Array, "2"]:
     return cell_xy(draw_cell(maze.start, cell_key)) + maze.start_jitter * offset
 
 
-def goal_centres(maze: Maze) -> Float[Array, "9 2"]:
-    """Returns the mean position of each goal region's cells in units; 0 for an absent goal."""
-    rows, columns = maze.goal.shape
-    ij = jnp.stack(jnp.mgrid[:rows, :columns])
+def goal_places(goal: Int[np.ndarray, "R C"]) -> list[Float[np.ndarray, "_ 2"]]:
+    """Returns where each goal is, on the host: the middle of its region.
 
-    # Sums under masks, since the number of a region's cells is data, not a shape.
-    is_in = maze.goal[None] == jnp.arange(1, MAX_GOALS + 1, dtype=jnp.int32)[:, None, None]
-    count = is_in.sum((1, 2), dtype=jnp.float32)
-    total_ij = jnp.where(is_in[:, None], ij[None], 0).sum((2, 3), dtype=jnp.float32)
-    mean_ij = total_ij / jnp.maximum(count, 1.0)[:, None]
-    return jnp.where(count[:, None] > 0.0, jax.vmap(cell_xy)(mean_ij), 0.0)
+    A region in several parts, or whose middle isn't in it, is wherever one of its cells is: a point
+    between them may be a wall.
+
+    Args:
+      goal: numbers of goal regions, as `Maze` has them.
+
+    Returns:
+      For each of `MAX_GOALS` goals some positions in units, the nearest of which counts; one at 0
+      for an absent goal.
+    """
+    places = []
+    for number in range(1, MAX_GOALS + 1):
+        cells = np.argwhere(goal == number)
+        middle = cells.mean(0, keepdims=True) if len(cells) else np.full((1, 2), -0.5)
+        parts = np.zeros(goal.shape, np.int32)
+        ndimage.label(goal == number, output=parts)  # numbers them from 1 on
+        is_in = (cells == np.floor(middle + 0.5)).all(1).any()
+        if len(cells) and not (is_in and parts.max() == 1):
+            middle = cells
+        places.append(((middle[:, ::-1] + 0.5) * (base.CELL, -base.CELL)).astype(np.float32))
+    return places
 
 
 def stack(mazes: list[Maze]) -> Maze:

@@ -156,7 +156,28 @@ def test_after_nine_goals_the_last_one_stays_the_current():
     table = task.prepare(mazes.parse("############\n#S123456789#\n############\n"))
     for num_visited, column in ((0, 2), (8, 10), (9, 10)):
         nav = at(table, visited=jnp.arange(9) < num_visited)
-        np.testing.assert_array_equal(current_goal_xy(table, nav), centre(1, column))
+        told = current_goal_xy(table, nav, centre(1, 1))
+        np.testing.assert_array_equal(told, centre(1, column))
+
+
+@pytest.mark.parametrize(
+    ("text", "places"),
+    [
+        # Its middle is in a wall, in a free cell, and in one of three parts.
+        ("#######\n#1.#.1#\n#..S..#\n#######\n", {(1, 2): (1, 1), (2, 3): (1, 1), (2, 4): (1, 5)}),
+        ("#####\n#111#\n#1.1#\n#1S1#\n#####\n", {(2, 2): (1, 2), (3, 2): (3, 1)}),
+        ("#######\n#1S1.1#\n#######\n", {(1, 2): (1, 1), (1, 4): (1, 3)}),
+    ],
+)
+def test_a_region_in_parts_is_where_its_nearest_cell_is(text, places):
+    table = task.prepare(mazes.parse(text))
+    assert table.goal_xy.shape[2] > 1
+    for here, there in places.items():
+        told = current_goal_xy(table, at(table), centre(*here))
+        np.testing.assert_array_equal(told, centre(*there))
+        distance = np.linalg.norm(np.subtract(here, there)) * base.CELL
+        paid = dense_reward(table, at(table), centre(*here))
+        assert paid == pytest.approx(1 / (1 + distance))
 
 
 def test_the_dense_task_goes_on_after_the_last_goal_and_pays_in_full():

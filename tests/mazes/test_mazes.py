@@ -74,11 +74,11 @@ def test_positions_outside_are_wall_without_goal():
     assert not maze_lib.is_wall(maze, jnp.array([46.0, -19.0]))
 
 
-def test_goal_centres():
-    centres = maze_lib.goal_centres(mazes.load("u"))
-    assert centres[0].tolist() == [6.0, -7.5]
-    assert (centres[1:] == 0).all()
-    assert maze_lib.goal_centres(mazes.load("s"))[2].tolist() == [46.5, -21.0]
+def test_a_goal_is_in_the_middle_of_its_region():
+    first, *others = maze_lib.goal_places(np.asarray(mazes.load("u").goal))
+    assert first.tolist() == [[6.0, -7.5]]
+    assert all(xy.tolist() == [[0.0, 0.0]] for xy in others)
+    assert maze_lib.goal_places(np.asarray(mazes.load("s").goal))[2].tolist() == [[46.5, -21.0]]
 
 
 def test_an_open_door_is_goal_1_and_the_only_hole_in_the_ring():
