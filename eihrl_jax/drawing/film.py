@@ -14,6 +14,7 @@ from eihrl_jax.storage import writing
 
 FRAME_MILLISECONDS = 50
 _LAST_FRAME_MILLISECONDS = 1800  # so that the end is seen before the loop begins anew
+_TRANSPARENT = 255  # the last index of a palette
 FORMATS = (".gif", ".mp4")
 """Endings of the files that can be written."""
 
@@ -71,7 +72,10 @@ def _save_gif(path: pathlib.Path, frames: list[Image.Image]) -> None:
             append_images=indexed[1:],
             duration=duration,
             loop=0,
-            optimize=False,
+            # What doesn't change is left transparent, and the palette stands in the file once.
+            optimize=True,
+            transparency=_TRANSPARENT,
+            palette=colours.getpalette(),
         )
 
 
@@ -119,5 +123,4 @@ def _common_palette(frames: list[Image.Image]) -> Image.Image:
     montage.paste(
         swatch.resize((width, height), Image.Resampling.NEAREST), (0, height * len(chosen))
     )
-    # One index of 256 is left for what GIF calls transparent: pixels that stay as they were.
-    return montage.quantize(255, method=Image.Quantize.MEDIANCUT)
+    return montage.quantize(_TRANSPARENT, method=Image.Quantize.MEDIANCUT)

@@ -17,10 +17,11 @@ _LARGE = 0.1
 """Share of the picture's width that a robot is given by a camera that follows it."""
 
 _MIN_CELLS = 3.0  # that such a camera sees beside each other, so that one knows where the robot is
-_ZONE = 0.3  # share of the picture, to each side of its middle, in which the robot moves freely
-_LEAD = 0.6  # of its way to the robot the camera goes on so far beyond it
-_GLIDE = 0.45  # share of its way that the camera goes per frame
-_STEP = 24.0  # pixels: a way that is as short is gone at once
+_ZONE = 0.36  # share of the picture, to each side of its middle, in which the robot moves freely
+_LEAD = 0.85  # of its way to the robot the camera goes on so far beyond it
+_GLIDE = 0.65  # share of its way that the camera goes per frame
+_AT_ONCE = 0.26  # share of the picture: a way that is as short is gone in one frame
+_STEP = 24.0  # pixels: for less the camera doesn't move
 _MARGIN = 0.03  # share of the picture that is seen beyond the maze
 
 
@@ -108,9 +109,10 @@ def _follow(
             wanted = np.clip(at + _LEAD * away, least, most)
             # At the maze's rim there may be little left to go.
             target = np.where(np.abs(wanted - middle) > 2 * _STEP, wanted, middle)
-        # A fraction of the way, and the last pixels at once.
+        # In two frames most often: each one in which everything moves is as large as a picture.
         rest = target - middle
-        middle = np.where(np.abs(rest) < _STEP, target, middle + _GLIDE * rest)
+        is_near = np.abs(rest) < _AT_ONCE * np.array(size)
+        middle = np.where(is_near, target, middle + _GLIDE * rest)
         # Whoever moves far between two frames is kept in the picture.
         edge = (0.5 - 2 * _MARGIN) * np.array(size)
         middle = np.clip(np.clip(middle, at - edge, at + edge), least, most)

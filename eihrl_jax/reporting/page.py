@@ -27,13 +27,13 @@ caption {{ text-align: left; font-weight: bold; padding: 0.6rem 0 0.3rem; }}
 th, td {{ padding: 0.25em 0.4em; text-align: right; vertical-align: top; }}
 td {{ white-space: nowrap; }}
 th:first-child, td:first-child {{ text-align: left; padding-left: 0; overflow-wrap: anywhere;
-  white-space: normal; }}
+  white-space: normal; min-width: 5em; position: sticky; left: 0; background: {palette.PAPER}; }}
 table.about td {{ text-align: left; white-space: normal; overflow-wrap: anywhere; }}
 .table {{ overflow-x: auto; }}
 thead th {{ border-bottom: 1px solid {palette.MUTED}; }}
-tbody tr:nth-child(even) {{ background: {palette.FLOOR}; }}
+tbody tr:nth-child(even), tbody tr:nth-child(even) td {{ background: {palette.FLOOR}; }}
 tr.published td {{ color: #5C6373; font-style: italic; }}
-.pictures {{ display: grid; gap: 1rem;
+.pictures {{ display: grid; gap: 1rem; margin-top: 1rem;
   grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); }}
 figure {{ margin: 0; }}
 img {{ max-width: 100%; height: auto; display: block; }}
@@ -121,9 +121,10 @@ def _table(table: tables_lib.Table) -> str:
     rows = []
     for row in table.rows:
         # The paper's figures look different from those that were measured here.
-        # The paper's own figures are set apart.
         kind = ' class="published"' if row[0].startswith("paper") else ""
-        cells = "".join(f"<td>{html.escape(text)}</td>" for text in row)
+        # Items of a list stand one below the other: in one line they would be wider than a page.
+        items = [";<br>".join(map(html.escape, text.split("; "))) for text in row]
+        cells = "".join(f"<td>{item}</td>" for item in items)
         rows.append(f"<tr{kind}>{cells}</tr>")
 
     kind = ' class="about"' if table.num_words == len(table.header) else ""
@@ -136,8 +137,7 @@ def _table(table: tables_lib.Table) -> str:
 
 
 def _figure(picture: Picture) -> str:
-    # Inside the page, which then can be sent and kept as one file.
-    # The picture itself stands in the page, so that it is one file.
+    # The picture itself stands in the page, which then can be sent and kept as one file.
     data = base64.b64encode(reading.read_bytes(picture.path)).decode()
     kind, caption = _TYPES[picture.path.suffix], html.escape(picture.caption, quote=True)
     return (
