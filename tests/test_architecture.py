@@ -55,7 +55,7 @@ ONLY_IN = {
         "eihrl_jax/benchmarks/physics.py",
         "eihrl_jax/drawing/opengl.py",
     ),
-    "orbax": ("eihrl_jax/runs/checkpoint.py",),
+    "orbax": ("eihrl_jax/runs/arrays.py",),
     "tensorboardX": ("eihrl_jax/runs/",),
     "brax": ("eihrl_jax/brax/",),
     "gymnasium": ("eihrl_jax/gym/", "eihrl_jax/benchmarks/low.py"),

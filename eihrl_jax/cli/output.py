@@ -1,5 +1,6 @@
 """Standard output whose reader may go before a command is through."""
 
+import codecs
 import functools
 import io
 import os
@@ -13,29 +14,30 @@ P = ParamSpec("P")
 class _Output(io.TextIOWrapper):
     """Standard output that is left alone when its reader goes, as in `eihrl evaluate | head`.
 
-    What computes goes on, and its results are written; the rest of its output goes nowhere.
+    What computes goes on, and its results are written; the rest of its output goes nowhere. Letters
+    that it can't hold are written in others.
     """
 
-    is_read = True
+    end: OSError | None = None
 
     def write(self, text: str) -> int:
-        """Writes a text, as long as somebody reads."""
+        """Writes a text, as long as it can be written."""
         try:
             return super().write(text)
-        except BrokenPipeError:
-            self._go_on()
+        except OSError as error:
+            self._go_on(error)
             return len(text)
 
     def flush(self) -> None:
-        """Hands on what is written, as long as somebody reads."""
+        """Hands on what is written, as long as it can be written."""
         try:
             super().flush()
-        except BrokenPipeError:
-            self._go_on()
+        except OSError as error:
+            self._go_on(error)
 
-    def _go_on(self) -> None:
+    def _go_on(self, error: OSError) -> None:
         """Sends to nowhere what is still to be written, what is held back included."""
-        self.is_read = False
+        self.end = error
         os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
 
 
@@ -47,14 +49,31 @@ def outlives_its_reader(call: Callable[P, None]) -> Callable[P, None]:
         if sys.stdout is not sys.__stdout__ or sys.stdout is None:
             return call(*args, **kwargs)  # it has been replaced already: there is no pipe
         old = sys.stdout
+        codecs.register_error(_LIKE, _like)
         sys.stdout = output = _Output(
-            old.buffer, encoding=old.encoding, errors=old.errors, line_buffering=old.isatty()
+            old.buffer, encoding=old.encoding, errors=_LIKE, line_buffering=old.isatty()
         )
         try:
             call(*args, **kwargs)
         finally:
             output.flush()
-            if not output.is_read:
+            if isinstance(output.end, BrokenPipeError):
                 sys.exit(141)  # 128 + SIGPIPE, as shells have it
+            if output.end is not None:
+                print(f"error: standard output: {output.end.strerror}", file=sys.stderr)
+                sys.exit(2)
 
     return wrapped
+
+
+_LIKE = "eihrl_jax.like"
+_ALIKE = {"±": "+-", "…": "...", "·": "-", "≥": ">=", "≤": "<="}
+
+
+def _like(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Writes letters that an encoding lacks as others that are like them, or by their number."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    letters = error.object[error.start : error.end]
+    like = (_ALIKE.get(letter, letter) for letter in letters)
+    return "".join(like).encode("ascii", "backslashreplace").decode("ascii"), error.end

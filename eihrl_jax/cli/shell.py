@@ -39,6 +39,9 @@ def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None
       argv: its arguments.
       program: how it was called, for its help text.
     """
+    # NaN is a value here, of what hasn't been measured yet, and all numbers are of 32 bits.
+    jax.config.update("jax_debug_nans", False)
+    jax.config.update("jax_enable_x64", False)
     try:
         words = _in_full(_in_todays_words(argv, command.earlier), _options(command.config_type))
         config = _parse(command, words, program)
@@ -190,6 +193,13 @@ def _one_line(box: str) -> str:
 
 def _set_compilation_cache() -> None:
     """Lets JAX keep compiled programs between runs, unless the user has chosen a place already."""
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        cache = pathlib.Path(os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(cache / "eihrl_jax"))
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+        return
+    try:
+        home = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
+        cache = pathlib.Path(home) / "eihrl_jax"
+        cache.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return  # nobody's home, or one that may not be written to
+    if os.access(cache, os.W_OK):
+        jax.config.update("jax_compilation_cache_dir", str(cache))

@@ -67,6 +67,15 @@ def fingerprint(model: mujoco.MjModel, robot: robot_lib.Robot) -> str:
     return hashlib.sha256(repr((numbers, times)).encode()).hexdigest()[:16]
 
 
+def _silence() -> None:
+    """Drops what MuJoCo warns of while it steps: environments say what has broken down.
+
+    It would write it onto the terminal, and into a file MUJOCO_LOG.TXT wherever the user is.
+    """
+    if mujoco.get_mju_user_warning() is None:
+        mujoco.set_mju_user_warning(lambda text: None)
+
+
 def wall_name(index: int) -> str:
     """Returns the name of a wall's body and of its geom."""
     return f"scene: wall {index}"
@@ -89,6 +98,7 @@ def build(robot: robot_lib.Robot, cell: float | None = None) -> mujoco.MjModel:
     Raises:
       base.UserError: the MJCF can't be read or compiled, or the description doesn't fit it.
     """
+    _silence()
     try:
         spec = mjcf.load(robot.mjcf)
         adapted = stock.adapt(spec, robot)

@@ -1,30 +1,24 @@
-"""Checkpoints: pytrees on disk, complete or not there at all. The only module that knows Orbax.
+"""Checkpoints: pytrees on disk, complete or not there at all.
 
-A tree is a folder `arrays/` written by Orbax, beside a `manifest.json` that lists every array's
+A tree is a folder `arrays/`, see `arrays`, beside a `manifest.json` that lists every array's
 shape and type and every file's checksum. It is written under a hidden name and renamed when it is
 complete, so a process killed at any moment leaves the last complete checkpoint; whatever a killed
 save left is removed by the next one. Nothing is ever unpickled.
-
-Arrays are stored without compression: replay buffers hardly compress, and saving 230 MB takes
-0.3 to 1.2 s so, against 0.8 to 1.8 s with it (two cores).
 """
 
-import contextlib
 import hashlib
 import json
 import pathlib
-import re
 import shutil
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, TypeVar, overload
 
 import jax
 import numpy as np
-import orbax.checkpoint as ocp
 from jaxtyping import PyTree
 
 from eihrl_jax import base
+from eihrl_jax.runs import arrays
 from eihrl_jax.storage import reading, writing
 
 KEEP = 2
@@ -33,11 +27,8 @@ KEEP = 2
 _HIDDEN = writing.TEMPORARY  # begins no step, so `_steps` never sees it
 _FORMAT = 1  # of the manifest; counts up when an older reader would misread it
 _MANIFEST = "manifest.json"
-_MISREAD = re.compile(r"[\[\]\\\udc80-\udcff]|:/")
-"""What Orbax takes for a pattern, an escape or an address in a path, or can't take: no Unicode."""
 
 TreeT = TypeVar("TreeT")
-LeafT = TypeVar("LeafT")
 
 
 class StructureError(base.UserError):
@@ -125,6 +116,7 @@ def write(
 
     Raises:
       UserError: something is already there.
+      OSError: it can't be written; what there is of it is removed.
     """
     hidden = path.parent / f"{_HIDDEN}{path.name}"
     if jax.process_index() == 0:
@@ -138,13 +130,10 @@ def write(
 
         hidden.mkdir()
 
-    ocp.multihost.sync_global_processes("checkpoint: prepared")
-    with _checkpointer() as checkpointer, _plain(hidden) as folder:
-        checkpointer.save(folder / "arrays", tree)
+    arrays.wait_for_all("checkpoint: prepared")
+    arrays.write(hidden, tree)
 
     if jax.process_index() == 0:
-        # Orbax notes the folder it wrote to; a checkpoint is given away without its origin.
-        (hidden / "arrays" / "commit_success.txt").unlink(missing_ok=True)
         for name, text in (files or {}).items():
             writing.write_text(hidden / name, text)
         checksums = {name: _checksum(file) for name, file in _files(hidden).items()}
@@ -152,7 +141,7 @@ def write(
         writing.write_text(hidden / _MANIFEST, json.dumps(manifest, indent=1))
         # The one moment at which the checkpoint comes to be.
         hidden.rename(path)
-    ocp.multihost.sync_global_processes("checkpoint: complete")
+    arrays.wait_for_all("checkpoint: complete")
 
 
 @overload
@@ -178,12 +167,7 @@ def read(path: pathlib.Path, template: PyTree = None) -> PyTree:
         template = _nested(manifest["arrays"], path)
     _check_kinds(path, manifest["arrays"], describe(template))
 
-    # Without arguments Orbax would ask for the devices that the arrays were saved from.
-    template = jax.tree.map(_placed, template)
-    restore_args = ocp.checkpoint_utils.construct_restore_args(template)
-    arguments = ocp.args.PyTreeRestore(item=template, restore_args=restore_args)
-    with _checkpointer() as checkpointer, _plain(path) as folder:
-        return checkpointer.restore(folder / "arrays", args=arguments)
+    return arrays.read(path, template)
 
 
 def read_file(path: pathlib.Path, name: str) -> str:
@@ -219,24 +203,6 @@ def _kind(leaf: jax.typing.ArrayLike | jax.ShapeDtypeStruct) -> str:
     is_array = isinstance(leaf, jax.Array | jax.ShapeDtypeStruct | np.ndarray)
     array = leaf if is_array else np.asarray(leaf)
     return f"{array.dtype}[{','.join(map(str, array.shape))}]"
-
-
-def _checkpointer() -> ocp.Checkpointer:
-    return ocp.Checkpointer(ocp.PyTreeCheckpointHandler(use_zarr3=True, use_compression=False))
-
-
-@contextlib.contextmanager
-def _plain(folder: pathlib.Path) -> Iterator[pathlib.Path]:
-    """Gives a folder a path that Orbax takes as it is: a link's, where its own would be misread."""
-    path = folder.absolute()
-    if not _MISREAD.search(str(path)):
-        yield path
-        return
-
-    with tempfile.TemporaryDirectory() as place:
-        link = pathlib.Path(place) / "folder"
-        link.symlink_to(path, target_is_directory=True)
-        yield link
 
 
 def _steps(folder: pathlib.Path) -> list[int]:
@@ -331,13 +297,6 @@ def _check_kinds(path: pathlib.Path, kinds: dict[str, str], expected: dict[str, 
             raise StructureError(
                 f"{path} holds another network or state: {name} is {kind}, expected {wanted}"
             )
-
-
-def _placed(leaf: LeafT) -> LeafT | jax.ShapeDtypeStruct:
-    """Gives an abstract array a place: that of the one that was saved may not exist here."""
-    if not isinstance(leaf, jax.ShapeDtypeStruct) or leaf.sharding is not None:
-        return leaf
-    return leaf.update(sharding=jax.sharding.SingleDeviceSharding(jax.devices()[0]))
 
 
 def _nested(arrays: dict[str, str], path: pathlib.Path) -> PyTree:

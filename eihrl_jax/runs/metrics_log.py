@@ -4,10 +4,13 @@ import csv
 import io
 import math
 import pathlib
+import time
 from collections.abc import Mapping, Sequence
-from typing import SupportsFloat, TextIO
+from typing import SupportsFloat
 
-import tensorboardX
+from google.protobuf.message import Message
+from tensorboardX import event_file_writer, summary
+from tensorboardX.proto import event_pb2
 
 from eihrl_jax import base
 from eihrl_jax.storage import reading, writing
@@ -17,17 +20,20 @@ FILE = "metrics.csv"
 
 _EVENTS = "tensorboard"
 
+# Made when they are imported.
+_Event = event_pb2.Event  # pyright: ignore[reportAttributeAccessIssue]
+_SessionLog = event_pb2.SessionLog  # pyright: ignore[reportAttributeAccessIssue]
+
 
 class MetricsLog:
-    """The metrics of a run folder; files are opened by the first row, and closed by `close`."""
+    """The metrics of a run folder; events are opened by the first row, and closed by `close`."""
 
     def __init__(self, folder: pathlib.Path):
         """Begins a log, or goes on with what the folder holds once `rewind` has been called."""
         self._folder = folder
         self._columns: list[str] = []
         self._first_step = 0
-        self._table: TextIO | None = None
-        self._events: tensorboardX.SummaryWriter | None = None
+        self._events: event_file_writer.EventsWriter | None = None
 
     def rewind(self, step: int) -> None:
         """Drops all that was logged after a step, and a last row that a kill cut short.
@@ -43,41 +49,40 @@ class MetricsLog:
 
         Args:
           step: what the run counts in; grows from row to row.
-          metrics: scalars by name. A new name adds a column; a name left out leaves an empty field.
+          metrics: scalars by name. A new name adds a column; a name left out, or without a value
+            (NaN), leaves an empty field.
+
+        Raises:
+          OSError: it can't be written; the error has the file's name.
         """
         values = {name: float(value) for name, value in metrics.items()}
+        values = {name: value for name, value in values.items() if not math.isnan(value)}
 
         # A metric that is first measured later, such as an evaluation's, widens the table.
         new = [name for name in values if name not in self._columns]
         if new:
             self._columns += new
-            self._close_table()
             _widen(self._folder / FILE, ["step", *self._columns])
 
-        if self._table is None:
-            # Line by line, so that a kill costs the row that is being written at most.
-            file = writing.append(self._folder / FILE)
-            self._table = io.TextIOWrapper(file, "utf-8", newline="", line_buffering=True)
+        # Line by line, so that a kill costs the row that is being written at most.
         row = [step, *(values.get(name, "") for name in self._columns)]
-        csv.writer(self._table, lineterminator="\n").writerow(row)
+        writing.append(self._folder / FILE, _as_csv([row]))
 
-        if self._events is None:
-            self._events = _open_events(self._folder / _EVENTS, self._first_step)
-        for name, value in values.items():
-            if math.isfinite(value):  # TensorBoard draws no curve through a nan
-                self._events.add_scalar(name, value, step)
+        with writing.named(self._folder / _EVENTS):
+            if self._events is None:
+                self._events = _open_events(self._folder / _EVENTS, self._first_step)
+            for name, value in values.items():
+                if math.isfinite(value):  # TensorBoard draws no curve through infinity
+                    scalar = summary.scalar(name, value)
+                    self._events.write_event(_event(step, summary=scalar))
+            self._events.flush()
 
     def close(self) -> None:
         """Closes the files; may be called twice."""
-        self._close_table()
         if self._events is not None:
-            self._events.close()
-            self._events = None
-
-    def _close_table(self) -> None:
-        if self._table is not None:
-            self._table.close()
-            self._table = None
+            events, self._events = self._events, None
+            with writing.named(self._folder / _EVENTS):
+                events.close()
 
 
 def _drop_rows_after(file: pathlib.Path, step: int) -> list[str]:
@@ -107,17 +112,29 @@ def _widen(file: pathlib.Path, header: Sequence[str]) -> None:
     _write(file, [header, *([*row, *[""] * (len(header) - len(row))] for row in rows)])
 
 
-def _write(file: pathlib.Path, rows: Sequence[Sequence[str]]) -> None:
+def _write(file: pathlib.Path, rows: Sequence[Sequence[object]]) -> None:
+    writing.write_text(file, _as_csv(rows))
+
+
+def _as_csv(rows: Sequence[Sequence[object]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    writing.write_text(file, text.getvalue())
+    return text.getvalue()
 
 
-def _open_events(folder: pathlib.Path, first_step: int) -> tensorboardX.SummaryWriter:
+def _event(step: int, **content: Message) -> Message:
+    """Returns an event of this moment."""
+    return _Event(wall_time=time.time(), step=step, **content)
+
+
+def _open_events(folder: pathlib.Path, first_step: int) -> event_file_writer.EventsWriter:
     """Opens a new event file; events from `first_step` on in older ones no longer count."""
     folder.mkdir(exist_ok=True)
     before = set(folder.iterdir())
-    events = tensorboardX.SummaryWriter(str(folder), purge_step=first_step)
+    # Not the package's own writer, whose thread would die of a full disk and keep its queue.
+    events = event_file_writer.EventsWriter(str(folder / "events"))
+    start = _SessionLog(status=_SessionLog.START)
+    events.write_event(_event(first_step, session_log=start))
     # tensorboardX puts the machine's name at the end of the file name; a count serves as well.
     for file in set(folder.iterdir()) - before:
         prefix = ".".join(file.name.split(".")[:4])

@@ -36,13 +36,25 @@ def new_file(path: pathlib.Path) -> Iterator[BinaryIO]:
     temporary = temporary_of(path)
     discard(temporary)  # of a killed process, or a link that somebody has put there
     try:
-        with temporary.open("xb") as file:
+        with named(path), temporary.open("xb") as file:
             yield file
         temporary.replace(path)
-    except BaseException as error:
+    except BaseException:
         temporary.unlink(missing_ok=True)
-        # A full disk is noticed by an open file, which tells no name.
-        if isinstance(error, OSError) and error.filename is None:
+        raise
+
+
+@contextlib.contextmanager
+def named(path: pathlib.Path) -> Iterator[None]:
+    """Gives errors of the system the name of a file: an open one that finds its disk full has none.
+
+    Raises:
+      OSError: the block's own.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
             error.filename = str(path)
         raise
 
@@ -73,11 +85,14 @@ def discard(path: pathlib.Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def append(path: pathlib.Path) -> BinaryIO:
-    """Opens a file to add to its end, made if it isn't there; a link is refused.
+def append(path: pathlib.Path, text: str) -> None:
+    """Adds a text to the end of a file, made if it isn't there, on disk when this returns.
 
     Raises:
-      OSError: it is a link, or may not be written.
+      OSError: it is a link, or can't be written; the error has its name.
     """
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-    return os.fdopen(os.open(path, flags, 0o644), "ab", buffering=0)
+    with named(path), os.fdopen(os.open(path, flags, 0o644), "ab", buffering=0) as file:
+        data = text.encode("utf-8", "backslashreplace")
+        while data:  # where there is room for a part, that is written first
+            data = data[file.write(data) :]

@@ -1,5 +1,6 @@
 """The table of commands: the same ones under both names, listed without JAX, helped by hints."""
 
+import os
 import pathlib
 import re
 import subprocess
@@ -103,6 +104,35 @@ def test_who_stops_reading_ends_a_command_without_a_traceback(code):
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 141
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no full device")
+def test_results_are_written_though_the_output_cannot_be(tmp_path):
+    words = ["maze", "u", "--save", str(tmp_path / "u.txt")]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "eihrl_jax.cli", *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert (done.returncode, done.stderr) == (
+        2,
+        b"error: standard output: No space left on device\n",
+    )
+    assert (tmp_path / "u.txt").exists()
+
+
+def test_letters_that_an_output_lacks_are_written_in_others():
+    code = (
+        "from eihrl_jax.cli import output\n"
+        "output.outlives_its_reader(lambda: print('1 ± 2 … ε \\udcff'))()\n"
+    )
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, env=environment
+    )
+    assert done.stdout == b"1 +- 2 ... \\u03b5 \\udcff\n"
 
 
 def test_results_are_written_though_nobody_reads_the_output(tmp_path):

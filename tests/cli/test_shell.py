@@ -4,6 +4,7 @@ import dataclasses
 import pathlib
 from typing import Literal
 
+import jax
 import pytest
 
 from eihrl_jax import base
@@ -47,6 +48,26 @@ def parsed(*arguments, presets=PRESETS):
     found = []
     shell.run(Command(found.append, Options, presets), arguments, "test")
     return found[0]
+
+
+def test_numbers_have_32_bits_and_may_be_missing_whatever_the_environment_says():
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_debug_nans", True)
+    try:
+        parsed()
+        assert not jax.config.jax_enable_x64 and not jax.config.jax_debug_nans
+    finally:
+        jax.config.update("jax_enable_x64", False)
+        jax.config.update("jax_debug_nans", False)
+
+
+def test_one_line_whatever_a_name_holds(capsys):
+    def main(options):
+        raise base.UserError("a\nb\x1b[2J\udcff is no maze")
+
+    with pytest.raises(SystemExit):
+        shell.run(Command(main, Options), [], "test")
+    assert capsys.readouterr().err == "error: a\\nb\\x1b[2J\\udcff is no maze\n"
 
 
 def failure(capsys, *arguments):

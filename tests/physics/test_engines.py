@@ -173,6 +173,17 @@ def test_controls_are_clipped(ant, standing, parked):
     )
 
 
+def test_what_breaks_down_leaves_no_log_where_the_user_is(
+    ant, standing, parked, tmp_path, monkeypatch, capfd
+):
+    monkeypatch.chdir(tmp_path)
+    start = standing(ant, 3)
+    broken = start.replace(qvel=start.qvel.at[1, 6].set(1e30))
+    after = jax.vmap(ant.step)(broken, jnp.zeros((3, 8)), parked(ant, 3))
+    assert not jnp.isfinite(after.qpos[1]).all()
+    assert not any(tmp_path.iterdir()) and capfd.readouterr() == ("", "")
+
+
 def test_nan_positions_stay_nan_and_alone(ant, standing, parked, random_ctrls):
     """A broken robot must be seen by the environment's guard, not put back to the origin."""
     start, ctrl, walls_xy = standing(ant, 3), random_ctrls(ant, 3), parked(ant, 3)

@@ -2,8 +2,10 @@
 
 import dataclasses
 import json
+import math
 import pathlib
 import platform
+import resource
 import shutil
 
 import jax.numpy as jnp
@@ -35,6 +37,7 @@ class OtherConfig:
     resume: bool = False
 
 
+RLIMIT = resource.RLIMIT_FSIZE  # beyond it the system says that a file is too large
 STATE = {"x": jnp.zeros(3)}
 
 
@@ -235,6 +238,29 @@ def test_sources_are_written_through_no_link(tmp_path, name):
     assert not any((tmp_path / "elsewhere").iterdir())
 
 
+@pytest.mark.parametrize("limit", [30, 300, 3_000])
+def test_a_full_disk_is_told_with_the_file_and_costs_what_was_being_written(tmp_path, limit):
+    state = {"x": jnp.zeros(1_000)}
+    with create(tmp_path / "run") as run:
+        run.log(1, {"loss": 1.0})
+        run.save(1, state)
+    with create(tmp_path / "run", resume=True) as run:
+        run.restore(state)
+        before, limits = snapshot(run.path / "checkpoints"), resource.getrlimit(RLIMIT)
+        resource.setrlimit(RLIMIT, (limit, limits[1]))
+        try:
+            with pytest.raises(OSError, match="large") as error:
+                run.log(2, {"loss": 2.0})
+                run.save(2, state)
+        finally:
+            resource.setrlimit(RLIMIT, limits)
+    assert str(run.path) in error.value.filename
+    assert snapshot(run.path / "checkpoints") == before
+    with create(tmp_path / "run", resume=True) as run:
+        assert run.restore(state)[0] == 1
+        assert (run.path / "metrics.csv").read_text() == "step,loss\n1,1.0\n"
+
+
 def test_config_is_that_of_the_last_start(tmp_path):
     options = Config()
     for resume, learning_rate in ((False, options.learning_rate), (True, 0.5)):
@@ -284,7 +310,9 @@ def test_new_metrics_add_columns(tmp_path):
         record(run, [1])
         run.log(2, {"loss": jnp.float32(0.5)})
         run.log(3, {"loss": 0.25, "fun": 1.0})
+        run.log(4, {"loss": math.nan, "never": math.nan})
     lines = (run.path / "metrics.csv").read_text().splitlines()
+    assert lines.pop() == "4,,,"  # what has no value is absent
     assert lines == ["step,success,loss,fun", "1,0.1,1.0,", "2,,0.5,", "3,,0.25,1.0"]
 
 

@@ -91,11 +91,11 @@ def test_nothing_is_appended_to_what_a_link_leads_to(tmp_path):
     (tmp_path / "precious").write_text("precious")
     (tmp_path / "log").symlink_to(tmp_path / "precious")
     with pytest.raises(OSError, match="log") as error:
-        writing.append(tmp_path / "log")
+        writing.append(tmp_path / "log", "row\n")
     assert error.value.errno == errno.ELOOP
-    with writing.append(tmp_path / "new") as file:
-        file.write(b"row\n")
-    assert (tmp_path / "new").read_text() == "row\n"
+    for row in ("a\n", "b\n"):
+        writing.append(tmp_path / "new", row)
+    assert (tmp_path / "new").read_text() == "a\nb\n"
 
 
 def test_a_file_that_cannot_be_finished_leaves_the_old_one(tmp_path):
