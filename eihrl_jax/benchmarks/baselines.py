@@ -8,6 +8,7 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 
+from eihrl_jax.baselines import interface
 from eihrl_jax.baselines.higl import adjacency
 from eihrl_jax.benchmarks import part, timing
 from eihrl_jax.config import higl as config_lib
@@ -46,6 +47,7 @@ def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> part.F
 
     arena = baselines.make_arena(config)
     higl = arena.baseline
+    assert isinstance(higl, interface.Baseline)
 
     def advance(state: StateT) -> StateT:
         return jax.lax.scan(lambda state, _: higl.advance(state), state, length=rounds)[0]

@@ -165,19 +165,33 @@ class MazeEnv(RobotEnv):
             robot = robots.load(robot)
         if not isinstance(maze, mazes.Maze):
             maze = mazes.load(os.fspath(maze), num_decisions=num_decisions)
-        built = engines.make(robot, engine)
-        self.bare = goal_maze.GoalMaze(built, maze, reward=reward)
-        super().__init__(self.bare, built, int(self.bare.table.mazes.num_decisions.max()))
+        self._take(goal_maze.GoalMaze(engines.make(robot, engine), maze, reward=reward))
 
-        width, height = self.bare.side_xy
-        self._centre_xy = np.array([width / 2.0, -height / 2.0], np.float32)
+    @classmethod
+    def of(cls, bare: goal_maze.GoalMaze) -> "MazeEnv":
+        """Makes one of a maze that is built already."""
+        env = cls.__new__(cls)
+        env._take(bare)
+        return env
+
+    def _take(self, bare: goal_maze.GoalMaze) -> None:
+        """Takes the bare environment."""
+        super().__init__(bare, bare.engine, int(bare.table.mazes.num_decisions.max()))
+        self.bare = bare
         self.goal_indices = np.arange(2)
-        self.state_dim = built.model.nq + built.model.nv
+        self.state_dim = bare.engine.model.nq + bare.engine.model.nv
+        width, height = bare.side_xy
+        self._centre_xy = np.array([width / 2.0, -height / 2.0], np.float32)
 
     def see(self, obs: base.GoalObs) -> Float[Array, " F"]:
         """Returns an observation as a vector."""
-        xy, goal_xy = obs.xy - self._centre_xy, obs.goal_xy - self._centre_xy
-        return jnp.concatenate([xy, obs.proprioception, goal_xy])
+        return see(obs, self._centre_xy)
+
+
+def see(obs: base.GoalObs, centre_xy: Float[np.ndarray, "2"]) -> Float[Array, "*B F"]:
+    """Returns what is seen in a maze as a vector, positions counted from its centre."""
+    xy, goal_xy = (each - np.broadcast_to(centre_xy, each.shape) for each in (obs.xy, obs.goal_xy))
+    return jnp.concatenate([xy, obs.proprioception, goal_xy], axis=-1)
 
 
 class LocomotionEnv(RobotEnv):

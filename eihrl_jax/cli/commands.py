@@ -54,7 +54,7 @@ def train_low() -> Command:
 
 
 def train_baseline() -> Command:
-    """Trains a baseline: flat DroQ, HIGL, HRAC, HIRO or HESS."""
+    """Trains a baseline: flat DroQ, HIGL, HRAC, HIRO, HESS, or PPO or SAC of Brax."""
     from eihrl_jax.config import baselines as baselines_config
     from eihrl_jax.config import presets
     from eihrl_jax.reporting import trainers

@@ -17,7 +17,7 @@ class BaselineConfig:
     """What all baselines share: the arena and the run around them.
 
     Attributes:
-      method: droq, higl, hrac, hiro or hess, each with options and defaults of its own.
+      method: droq, higl, hrac, hiro, hess, ppo or sac, each with options and defaults of its own.
       seed: of every random number of the run.
       run: run folder, made by the run.
       resume: continue the run that the folder holds.

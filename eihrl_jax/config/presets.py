@@ -1,12 +1,13 @@
 """Named settings: `paper` as the paper has it, `best` for the highest numbers; never mixed.
 
 >>> tuple(HIGH), tuple(BASELINES)
-(('best', 'paper'), ('droq', 'higl', 'hrac', 'hiro', 'hess'))
+(('best', 'paper'), ('droq', 'higl', 'hrac', 'hiro', 'hess', 'ppo', 'sac'))
 """
 
 import dataclasses
 
 from eihrl_jax.config import baselines as baselines_config
+from eihrl_jax.config import brax as brax_config
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.config import high as high_config
 from eihrl_jax.config import higl as higl_config
@@ -194,5 +195,7 @@ BASELINES: dict[str, baselines_config.BaselineConfig] = {
     "hrac": hrac(),
     "hiro": hiro(),
     "hess": hess(),
+    "ppo": brax_config.PpoConfig(),
+    "sac": brax_config.SacConfig(),
 }
 """Methods of `train_baseline`, its default first."""

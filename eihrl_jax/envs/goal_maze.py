@@ -55,6 +55,11 @@ class GoalMaze:
 
     Metrics, so far in the episode: `success` visited goals / goals, `decisions` control steps /
     control steps per subgoal, control `steps`, `return`, and 0 or 1 for `fell` and `broke_down`.
+
+    Attributes:
+      engine: moves the robot.
+      robot: which one it is.
+      table: the mazes, their time limits in control steps.
     """
 
     def __init__(
@@ -76,7 +81,7 @@ class GoalMaze:
         """
         checks.one_of("reward", reward, base.REWARDS)
         self.robot = engine.robot
-        self._engine = engine
+        self.engine = engine
         self._reward: base.Reward = reward
         # The task counts each of our steps as a decision.
         most = (2**31 - 1) // self.robot.steps_per_subgoal
@@ -105,7 +110,7 @@ class GoalMaze:
         inner = GoalMazeState(
             nav=nav,
             physics=body_lib.draw_start(
-                self._engine, task.drawn_maze(self.table, nav), xy, pose_key, self._jitter
+                self.engine, task.drawn_maze(self.table, nav), xy, pose_key, self._jitter
             ),
             total_reward=jnp.float32(0.0),
             has_fallen=no,
@@ -117,9 +122,7 @@ class GoalMaze:
         """Advances one control step; an episode that is over rests, and pays nothing."""
         inner = state.inner
         maze = task.drawn_maze(self.table, inner.nav)
-        physics, is_broken = body_lib.move(
-            self._engine, inner.physics, action, maze, ~state.is_over
-        )
+        physics, is_broken = body_lib.move(self.engine, inner.physics, action, maze, ~state.is_over)
 
         nav, outcome = task.advance(self.table, inner.nav, physics.qpos[None, :2], self._reward)
         outcome = outcome.terminated_if(is_broken)

@@ -48,7 +48,7 @@ class BaselineMaze:
     """
 
     env: goal_maze.GoalMaze
-    baseline: interface.Baseline
+    baseline: interface.Actor
     policy: dict[str, base.Params]
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> EnvState:

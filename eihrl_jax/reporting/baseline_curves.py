@@ -24,6 +24,8 @@ LINES = {
     "HESS": ("hess", "eval"),
     "HRAC": ("hrac", "eval"),
     "HIRO": ("hiro", "eval"),
+    "PPO": ("ppo", "eval"),
+    "SAC": ("sac", "eval"),
 }
 """What the pictures show: method of `compare_baselines`, and which of its evaluations."""
 

@@ -57,6 +57,9 @@ _SHORTENED: dict[str, dict[str, object]] = {
         "exploration.first_step": 20_000,
         "exploration.potential_step": 50_000,
     },
+    # Both as they are: Brax's schedules don't look at the budget.
+    "ppo": {},
+    "sac": {},
 }
 """What is changed of a method's preset for budgets of some 100,000 control steps."""
 

@@ -52,18 +52,18 @@ class Arena:
     title: str
     env: RobotEnvironment
     side_xy: tuple[int, int]
-    baseline: interface.Baseline
+    baseline: interface.Actor
     episode_steps: int
     sources: runs_sources.Sources = dataclasses.field(default_factory=dict)
 
     @functools.cached_property
     def advance(self) -> jax.stages.Wrapped:
         """Acts and learns: (state, number of rounds) to (state, metrics of each)."""
+        baseline = self.baseline
+        assert isinstance(baseline, interface.Baseline)
 
         def advance(state: State, num_rounds: int) -> tuple[State, dict[str, Array]]:
-            return jax.lax.scan(
-                lambda state, _: self.baseline.advance(state), state, length=num_rounds
-            )
+            return jax.lax.scan(lambda state, _: baseline.advance(state), state, length=num_rounds)
 
         # Donated: a replay is large, and the state before isn't needed any more.
         return jax.jit(advance, static_argnums=1, donate_argnums=0)
@@ -151,7 +151,11 @@ def train_in(
     Raises:
       base.UserError: the run folder is not as it should be.
     """
-    loop.run(_Job(arena, config), config, watch)
+    try:
+        loop.run(_Job(arena, config), config, watch)
+    finally:
+        if isinstance(arena.baseline, interface.RowLearner):
+            arena.baseline.close()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,6 +194,13 @@ class _Job(loop.Job[State]):
 
     def compile_training(self, state: State) -> loop.Advance[State]:
         """Compiles the rounds of a row."""
+        baseline = self.arena.baseline
+        if isinstance(baseline, interface.RowLearner):
+            # It compiles what it needs by itself, when the first row is asked for.
+            num_rows = -(-(self.config.num_steps - int(state.num_steps)) // self.plan.log_every)
+            baseline.begin(state, num_rows, self.config.log_rounds)
+            return baseline.next_row
+
         # Shapes alone: a state that was restored is the same program's as a new one.
         shapes = jax.eval_shape(lambda: state)
         return self.arena.advance.lower(shapes, self.config.log_rounds).compile()

@@ -70,6 +70,12 @@ def small_options(method):
                 num_candidates=8, first_step=100, potential_step=200, every=100
             ),
         }
+    if method in ("ppo", "sac"):
+        small = {"batch_size": 2, "hidden": (8,)}
+        own = (
+            {"num_minibatches": 2, "unroll_length": 10} if method == "ppo" else {"warmup_steps": 8}
+        )
+        return small | own
     return {
         "period": 5,
         "periods_per_round": 2,
