@@ -100,7 +100,10 @@ def measure_low() -> Command:
     def main(options: measure_config.MeasureConfig) -> None:
         measured = measurements.measure(options)
         of_subgoals = tables.of_subgoals(measured.statistics, options.robot)
-        tables.show([of_subgoals, tables.of_drift(measured.drift, options.robot)])
+        shown = [of_subgoals, tables.of_drift(measured.drift, options.robot)]
+        if measured.standing is not None:
+            shown.append(tables.of_standing(measured.standing, options.robot))
+        tables.show(shown)
         print(f"written to {options.out}")
 
     return Command(main, measure_config.MeasureConfig)

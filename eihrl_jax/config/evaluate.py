@@ -48,6 +48,8 @@ class EvaluateConfig:
         shortest: the shortest way to the nearest goal, as the map, which it knows, has it.
         A baseline's run folder stands for the whole baseline, which has full movement only.
       low: low level of each robot for full movement, like `high`; none: the robots' shipped ones.
+      stand: the low level that takes over while a robot is down, like `low`, or "none"; by default
+        the one beside its low level, if there is one.
       reward: of the task, in which returns are counted; with dense reward episodes last until their
         time limit (paper, D).
       episodes: per maze and seed.
@@ -84,6 +86,7 @@ class EvaluateConfig:
     movement: limits.Several[base.MovementName] = base.MOVEMENTS
     high: limits.Several[str] = ("best-random-0",)
     low: tuple[str, ...] = ()
+    stand: str | None = None
     reward: base.Reward = "sparse"
     episodes: limits.UpToMillion = 500  # which the paper's percentages point at, see `statistics`
     seeds: limits.Seeds = (0,)

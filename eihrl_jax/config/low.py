@@ -24,11 +24,14 @@ class LowInput:
       use_progress: adds the displacement since the subgoal was given and the time left.
       velocity_scale: factor on joint velocities and spin. Unscaled they are ten times as large as
         the rest, which they drown in the critics' layer normalisation.
+      full_range: actions move servos as far as the robot may when it gets up, see `recovery_range`
+        of `robots.robot.Robot`.
     """
 
     frame: Frame = "world"
     use_progress: bool = False
     velocity_scale: Annotated[float, limits.Range(above=0.0, high=100.0)] = 1.0
+    full_range: bool = False
 
 
 @limits.dataclass
@@ -36,20 +39,23 @@ class LowReward:
     """The intrinsic reward, a difference of potentials of the displacement since the subgoal.
 
     Attributes:
-      scale: alpha of eq. 1.
+      scale: alpha of eq. 1; 0 where the robot is to stand, wherever it is.
       lateral_weight: price of a unit of sideways drift against a unit of progress; 0 in eq. 1.
       beyond_cell: what progress beyond one cell pays, against progress before: 1 in eq. 1, 0 for
         nothing, -1 where going too far costs as much as going back.
       is_paced: the point beyond which progress pays `beyond_cell` moves steadily from the start to
         one cell ahead in the subgoal's time, so that hurrying gains nothing.
       fall_cost: what a fall costs besides the end of the episode, which it must end; 0 in eq. 1.
+      standing: what a control step upright and at full height pays against one on its back; 0 in
+        eq. 1.
     """
 
-    scale: limits.Positive = 3.0  # paper, Table 4
+    scale: Annotated[float, limits.Range(0.0, 1000.0)] = 3.0  # paper, Table 4
     lateral_weight: Annotated[float, limits.Range(0.0, 10.0)] = 0.0
     beyond_cell: Annotated[float, limits.Range(-1.0, 1.0)] = 1.0
     is_paced: bool = False
     fall_cost: Annotated[float, limits.Range(0.0, 1000.0)] = 0.0
+    standing: Annotated[float, limits.Range(0.0, 1000.0)] = 0.0
 
 
 @limits.dataclass
@@ -98,7 +104,7 @@ class LowConfig:
     """A training run of the low level.
 
     Attributes:
-      preset: where the defaults come from: paper, best, point, swimmer or humanoid.
+      preset: where the defaults come from: paper, best, point, swimmer, humanoid or stand.
       seed: of every random number of the run.
       run: run folder, made by the run.
       resume: continue the run that the folder holds.
@@ -117,8 +123,10 @@ class LowConfig:
       num_rooms: random rooms to train in, every second one with inner walls; 0: open floor alone.
       corridor_share: share of the random rooms that are corridors of one cell's width; there
         directions are free and subgoals count from the middle of the robot's cell, as in a maze.
+      anchored: in all rooms subgoals count from the middle of the robot's cell, as in a maze.
       episode_steps: control steps per episode.
       ends_at_fall: a fall ends the episode; else the robot may learn to get up again.
+      thrown_share: share of the episodes in which the robot is thrown, in any posture.
       low_input: how observations become the network's input.
       reward: the intrinsic reward.
       droq: hyper-parameters of the learner.
@@ -148,8 +156,10 @@ class LowConfig:
     relabel_share: limits.Fraction = 1.0
     num_rooms: Annotated[int, limits.Range(0, 4096)] = 0
     corridor_share: limits.Fraction = 0.0
+    anchored: bool = False
     episode_steps: Annotated[int, limits.Range(1, 100_000)] = 500  # 20 subgoals of the ant
     ends_at_fall: bool = True
+    thrown_share: limits.Fraction = 0.0
     low_input: LowInput = LowInput()
     reward: LowReward = LowReward()
     droq: Droq = Droq()

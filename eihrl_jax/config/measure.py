@@ -21,6 +21,8 @@ class MeasureConfig:
     Attributes:
       robot: which robot.
       low: its low level: run folder, policy folder or shipped name; none: the shipped one.
+      stand: the one that takes over while the robot is down, like `low`, or "none"; by default the
+        one beside its low level, if there is one.
       num_subgoals: about this many per surrounding; those begun lying down don't count.
       num_envs: environments that run at the same time, one robot in each.
       engine: physics engine.
@@ -32,6 +34,7 @@ class MeasureConfig:
 
     robot: str = "ant"
     low: str | None = None
+    stand: str | None = None
     num_subgoals: Annotated[int, limits.Range(100, 200_000)] = 5_000
     num_envs: Annotated[int, limits.Range(1, 2**16)] = 128
     engine: base.EngineName = "mujoco"

@@ -102,12 +102,34 @@ def low_humanoid() -> low_config.LowConfig:
     )
 
 
+def low_stand() -> low_config.LowConfig:
+    """`best` for a robot that is thrown and has to stand up; where it is, doesn't matter.
+
+    It takes over from a low level that walks while its robot is down, see `envs.recovery`.
+    """
+    best = low_best()
+    return dataclasses.replace(
+        best,
+        preset="stand",
+        robot="go1",
+        num_iterations=5_000,
+        capacity=320_000,  # the whole run
+        num_rooms=0,
+        episode_steps=200,  # four seconds of a Go1
+        ends_at_fall=False,
+        thrown_share=1.0,
+        low_input=dataclasses.replace(best.low_input, use_progress=False, full_range=True),
+        reward=low_config.LowReward(scale=0.0, standing=0.1),
+    )
+
+
 LOW = {
     "best": low_best(),
     "paper": low_paper(),
     "point": low_point(),
     "swimmer": low_swimmer(),
     "humanoid": low_humanoid(),
+    "stand": low_stand(),
 }
 """Presets of `train_low`, its default first."""
 

@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from eihrl_jax import base
 from eihrl_jax.mazes import maze as maze_lib
-from eihrl_jax.ops import tree
+from eihrl_jax.ops import rotations, tree
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import kinematics, posture, walls
 from eihrl_jax.robots import robot as robot_lib
@@ -129,6 +129,4 @@ def is_fallen(qpos: Float[Array, " nq"], robot: robot_lib.Robot) -> Bool[Array, 
     if robot.healthy_z is None:
         return jnp.zeros((), bool)
     low, high = robot.healthy_z
-    # The z component of the torso's own z axis, from its quaternion.
-    up_z = 1.0 - 2.0 * (jnp.square(qpos[4]) + jnp.square(qpos[5]))
-    return (qpos[2] < low) | (qpos[2] > high) | (up_z < 0.0)
+    return (qpos[2] < low) | (qpos[2] > high) | (rotations.up(qpos[3:7]) < 0.0)

@@ -6,7 +6,7 @@ direction had been asked for (`relabel`, `restart`); `transition` then pays it a
 
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from eihrl_jax import base
 from eihrl_jax.config import low as low_config
@@ -21,16 +21,14 @@ class Experience(struct.PyTreeNode):
       obs: before the step.
       ctrl: float32 [nu], controls in [-1, 1].
       step_xy: float32 [2], the torso's movement, units.
-      terminated: the robot fell, or the simulation broke down.
-      is_switch: a new subgoal was given after the step; `next_obs` is already of that one.
-      next_obs: after the step.
+      outcome: how the step ended: in a fall or a breakdown, with a new subgoal, how upright.
+      next_obs: after the step, and already of a subgoal that was given after it.
     """
 
     obs: low_obs.LowObs
     ctrl: Float[Array, " nu"]
     step_xy: Float[Array, "2"]
-    terminated: Bool[Array, ""]
-    is_switch: Bool[Array, ""]
+    outcome: low_reward.StepOutcome
     next_obs: low_obs.LowObs
 
 
@@ -43,8 +41,11 @@ def of_step(before: base.EnvState, ctrl: Float[Array, " nu"], after: base.EnvSta
         obs=before.obs,
         ctrl=ctrl,
         step_xy=jnp.stack([after.metrics["step_x"], after.metrics["step_y"]]),
-        terminated=after.terminated,
-        is_switch=after.metrics["switched"] > 0,
+        outcome=low_reward.StepOutcome(
+            terminated=after.terminated,
+            is_switch=after.metrics["switched"] > 0,
+            upright=after.metrics["upright"],
+        ),
         next_obs=after.final_obs,
     )
 
@@ -53,7 +54,7 @@ def relabel(experience: Experience, direction: Int[Array, ""]) -> Experience:
     """Returns a stored step as if `direction` had been asked for; physics doesn't depend on it."""
     # After a switch the robot follows another subgoal, whatever the one before was.
     next_direction = jnp.where(
-        experience.is_switch, experience.next_obs.direction, direction
+        experience.outcome.is_switch, experience.next_obs.direction, direction
     ).astype(jnp.int32)
     return experience.replace(
         obs=experience.obs.replace(direction=direction),
@@ -72,7 +73,7 @@ def restart(
     obs, next_obs = experience.obs, experience.next_obs
     # As the first of the subgoal's k steps, so it can't be the one after which subgoals change.
     return experience.replace(
-        is_switch=jnp.zeros((), bool),
+        outcome=experience.outcome.replace(is_switch=jnp.zeros((), bool)),
         obs=obs.replace(direction=direction, displacement_xy=zero, time_left=jnp.float32(1.0)),
         next_obs=next_obs.replace(
             direction=direction,
@@ -95,13 +96,14 @@ def transition(
         obs=low_obs.features(obs, robot, input_options),
         action=low_obs.action_from_ctrl(experience.ctrl, obs, robot, input_options),
         # Computed anew: the environment paid for the direction that it had asked for.
-        reward=low_reward.step_reward(
+        reward=low_reward.reward(
             obs,
+            experience.next_obs,
             experience.step_xy,
-            experience.terminated,
+            experience.outcome,
             reward_options,
             robot.steps_per_subgoal,
         ),
-        discount=gamma * (1.0 - experience.terminated.astype(jnp.float32)),
+        discount=gamma * (1.0 - experience.outcome.terminated.astype(jnp.float32)),
         next_obs=low_obs.features(experience.next_obs, robot, input_options),
     )

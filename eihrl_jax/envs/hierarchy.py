@@ -9,13 +9,35 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import jax
+import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from eihrl_jax.envs import low_obs, physics_maze, task
+from eihrl_jax.envs import low_obs, physics_maze, recovery, task
+from eihrl_jax.robots import robot as robot_lib
 
 LowPolicy: TypeAlias = Callable[[low_obs.LowObs, Key[Array, ""]], Float[Array, " nu"]]
 """From the low level's observation and a key to controls in [-1, 1]."""
+
+
+def getting_up(
+    walk: LowPolicy, stand: LowPolicy, robot: robot_lib.Robot, standing: float
+) -> LowPolicy:
+    """Returns a low level that walks, and stands up where it is down.
+
+    Args:
+      walk: acts while the robot is up.
+      stand: acts while it is down, see `recovery.is_down`.
+      robot: theirs, on a free root.
+      standing: where its torso is when it stands, metres.
+    """
+
+    def policy(obs: low_obs.LowObs, key: Key[Array, ""]) -> Float[Array, " nu"]:
+        height, quat = obs.proprioception[0], obs.proprioception[1:5]
+        is_down = recovery.is_down(height, quat, robot, standing)
+        return jnp.where(is_down, stand(obs, key), walk(obs, key))
+
+    return policy
 
 
 class Trace(struct.PyTreeNode):

@@ -14,13 +14,17 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from eihrl_jax import base
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import body as body_lib
-from eihrl_jax.envs import low_obs, low_reward, task
+from eihrl_jax.envs import low_obs, low_reward, recovery, task
 from eihrl_jax.envs import rooms as rooms_lib
 from eihrl_jax.mazes import maze as maze_lib
-from eihrl_jax.ops import rotations
+from eihrl_jax.ops import rotations, tree
 from eihrl_jax.physics import engine as engine_lib
+from eihrl_jax.physics import posture
 
-METRICS = ("step_x", "step_y", "switched", "along", "lateral", "fell", "broke_down")
+METRICS: tuple[str, ...] = (
+    *("step_x", "step_y", "switched", "along", "lateral"),
+    *("upright", "fell", "broke_down"),
+)
 """Names of the metrics of `Locomotion`, see there."""
 
 
@@ -52,11 +56,13 @@ class Locomotion:
     Observation: `low_obs.LowObs`. Action: controls [nu] in [-1, 1]. Reward: see `low_reward`.
     Terminates when the robot falls, if that ends episodes, or the simulation breaks down; truncated
     after `episode_steps` control steps. Reset: a random room and start, random yaw, noise on joints
-    and velocities. In corridors only directions that are free are given, and subgoals are anchored.
+    and velocities, or a throw. In corridors only directions that are free are given, and subgoals
+    are anchored.
 
     Metrics, per step: `step_x` and `step_y`, the torso's movement in units; `switched` 1 where a
-    subgoal has just ended, then `along` and `lateral` hold its displacement in units; `fell` 1
-    where the robot has just fallen, `broke_down` 1 where the simulation did.
+    subgoal has just ended, then `along` and `lateral` hold its displacement in units; `upright` as
+    in `recovery.uprightness`; `fell` 1 where the robot has just fallen, `broke_down` 1 where the
+    simulation did.
     """
 
     def __init__(
@@ -67,6 +73,7 @@ class Locomotion:
         reward_options: low_config.LowReward,
         episode_steps: int = 500,
         ends_at_fall: bool = True,
+        thrown_share: float = 0.0,
         anchored: bool = False,
     ):
         """Builds the environment.
@@ -77,6 +84,7 @@ class Locomotion:
           reward_options: the intrinsic reward.
           episode_steps: control steps per episode.
           ends_at_fall: whether a fall terminates; else the robot may get up again.
+          thrown_share: share of the episodes that begin with a throw, see `recovery.thrown`.
           anchored: whether subgoals count from the middle of the robot's cell in all rooms, see
             `task.anchor`; in corridors they always do.
         """
@@ -86,7 +94,9 @@ class Locomotion:
         self._reward_options = reward_options
         self._episode_steps = episode_steps
         self._ends_at_fall = ends_at_fall
+        self._thrown_share = thrown_share
         self._anchored = anchored
+        self._height = posture.standing_height(engine.model)
         # Known before anything is compiled: without corridors nothing is computed for them.
         self._has_corridors = bool(rooms.is_corridor.any())
 
@@ -99,6 +109,11 @@ class Locomotion:
         physics = body_lib.draw_start(
             self._engine, self.room(room), start_xy, pose_key, rooms_lib.START_JITTER
         )
+        if self._thrown_share > 0.0:
+            share_key, throw_key = jax.random.split(jax.random.fold_in(pose_key, 1))
+            is_thrown = jax.random.bernoulli(share_key, self._thrown_share)
+            thrown = recovery.thrown(physics, self.robot, throw_key)
+            physics = tree.where(is_thrown, thrown, physics)
         start_xy = physics.qpos[:2]
         # The first subgoal begins here, with all of its steps left.
         inner = LocomotionState(
@@ -112,7 +127,7 @@ class Locomotion:
             inner=inner,
             obs=self._observe(inner),
             outcome=base.Outcome.of_reset(),
-            metrics=dict.fromkeys(METRICS, jnp.float32(0.0)),
+            metrics={name: jnp.float32(0.0) for name in METRICS},
             key=key,
         )
 
@@ -128,9 +143,8 @@ class Locomotion:
         was_down, is_down = (body_lib.is_fallen(x.qpos, self.robot) for x in (before, after))
         terminated = (is_down & self._ends_at_fall) | is_broken
         step_xy = after.qpos[:2] - before.qpos[:2]
-        reward = low_reward.step_reward(state.obs, step_xy, terminated, self._reward_options, k)
+        upright = recovery.uprightness(after.qpos, self.robot, self._height)
         step = inner.step + 1
-        outcome = base.Outcome.of_step(reward, terminated, step >= self._episode_steps)
 
         # A subgoal that ends together with its episode for good isn't completed.
         is_switch = step % k == 0
@@ -144,6 +158,7 @@ class Locomotion:
             "switched": has_completed,
             "along": has_completed * along,
             "lateral": has_completed * lateral,
+            "upright": upright,
             # Told once, in the step of the fall, where a robot may lie for longer.
             "fell": is_down & (self._ends_at_fall | ~was_down),
             "broke_down": is_broken,
@@ -158,9 +173,12 @@ class Locomotion:
             direction=jnp.where(is_switch, drawn, inner.direction),
             step=step,
         )
-        return base.EnvState.of(
-            inner=inner, obs=self._observe(inner), outcome=outcome, metrics=metrics, key=key
-        )
+        obs = self._observe(inner)
+
+        ended = low_reward.StepOutcome(terminated=terminated, is_switch=is_switch, upright=upright)
+        reward = low_reward.reward(state.obs, obs, step_xy, ended, self._reward_options, k)
+        outcome = base.Outcome.of_step(reward, terminated, step >= self._episode_steps)
+        return base.EnvState.of(inner=inner, obs=obs, outcome=outcome, metrics=metrics, key=key)
 
     def room(self, index: Int[Array, ""]) -> maze_lib.Maze:
         """Returns one of the rooms."""

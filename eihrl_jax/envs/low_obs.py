@@ -103,6 +103,7 @@ def ctrl_from_action(
     if symmetry is not None:
         order, signs = symmetry_lib.inverse(*symmetry.control_tables())
         action = _reorder(action, _variant(obs, robot, symmetry), order, signs)
+    action *= _scale(robot, options)
     # Only a sliding robot's first two controls are forces along the world's axes.
     if robot.root != "slide" or options.frame == "world":
         return action
@@ -119,10 +120,16 @@ def action_from_ctrl(
     if robot.root == "slide" and options.frame != "world":
         pushes = rotations.to_direction_frame(ctrl[:2], obs.direction)
         ctrl = jnp.concatenate([pushes, ctrl[2:]])
+    ctrl /= _scale(robot, options)
     symmetry = _symmetry(robot, options)
     if symmetry is None:
         return ctrl
     return _reorder(ctrl, _variant(obs, robot, symmetry), *symmetry.control_tables())
+
+
+def _scale(robot: robot_lib.Robot, options: low_config.LowInput) -> float:
+    """Returns the controls of an action of 1."""
+    return robot.recovery_scale if options.full_range else 1.0
 
 
 class _Body(NamedTuple):

@@ -1,12 +1,56 @@
 """What the low level is paid for: every step towards the subgoal (paper, Sec. 2, eq. 1)."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int
 
 from eihrl_jax import base
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import low_obs
 from eihrl_jax.ops import rotations
+
+
+class StepOutcome(struct.PyTreeNode):
+    """How a control step ended, as far as it is paid for.
+
+    Attributes:
+      terminated: in a fall or a breakdown.
+      is_switch: with a new subgoal.
+      upright: this upright, see `recovery.uprightness`.
+    """
+
+    terminated: Bool[Array, ""]
+    is_switch: Bool[Array, ""]
+    upright: Float[Array, ""]
+
+
+def reward(
+    obs: low_obs.LowObs,
+    next_obs: low_obs.LowObs,
+    step_xy: Float[Array, "2"],
+    outcome: StepOutcome,
+    options: low_config.LowReward,
+    steps_per_subgoal: int,
+) -> Float[Array, ""]:
+    """Computes what one control step pays: for following the subgoal, and for standing.
+
+    An anchored subgoal may begin away from where it counts from. That is charged in advance, since
+    the way back is paid for: else a robot would earn by going too far, and then by coming back.
+
+    Args:
+      obs: before the step, with the subgoal that was to be followed.
+      next_obs: after it, with the next subgoal if one was given.
+      step_xy: float32 [2], the step's movement, units.
+      outcome: how it ended.
+      options: scale and prices.
+      steps_per_subgoal: control steps per subgoal.
+    """
+    paid = step_reward(obs, step_xy, outcome.terminated, options, steps_per_subgoal)
+    debt = options.scale * _potential(
+        next_obs.displacement_xy, next_obs.time_left, next_obs.direction, options
+    )
+    is_given = outcome.is_switch & ~outcome.terminated
+    return paid + jnp.where(is_given, debt, 0.0) + options.standing * outcome.upright
 
 
 def step_reward(
@@ -31,17 +75,24 @@ def step_reward(
     Source: paper, eq. 1.
     Differs from the paper: drift, stop and falls are options, off in preset `paper`.
     """
-
-    def potential(xy: Float[Array, "2"], left: Float[Array, ""]) -> Float[Array, ""]:
-        # In the frame of the subgoal, along is g . d of eq. 1.
-        along, lateral = rotations.to_direction_frame(xy, obs.direction)
-        # Progress counts in full up to here.
-        enough = base.CELL * (1.0 - left) if options.is_paced else base.CELL
-        beyond = jnp.maximum(along - enough, 0.0)
-        along += (options.beyond_cell - 1.0) * beyond
-        return along - options.lateral_weight * jnp.abs(lateral)
-
     # A difference of potentials: going back takes away what going there has paid.
-    after = potential(obs.displacement_xy + step_xy, obs.time_left - 1.0 / steps_per_subgoal)
-    gain = after - potential(obs.displacement_xy, obs.time_left)
+    left = obs.time_left - 1.0 / steps_per_subgoal
+    after = _potential(obs.displacement_xy + step_xy, left, obs.direction, options)
+    gain = after - _potential(obs.displacement_xy, obs.time_left, obs.direction, options)
     return options.scale * gain - options.fall_cost * terminated.astype(jnp.float32)
+
+
+def _potential(
+    xy: Float[Array, "2"],
+    left: Float[Array, ""],
+    direction: Int[Array, ""],
+    options: low_config.LowReward,
+) -> Float[Array, ""]:
+    """Returns the worth of a displacement with a share `left` of the subgoal's time left."""
+    # In the frame of the subgoal, along is g . d of eq. 1.
+    along, lateral = rotations.to_direction_frame(xy, direction)
+    # Progress counts in full up to here.
+    enough = base.CELL * (1.0 - left) if options.is_paced else base.CELL
+    beyond = jnp.maximum(along - enough, 0.0)
+    along += (options.beyond_cell - 1.0) * beyond
+    return along - options.lateral_weight * jnp.abs(lateral)

@@ -149,17 +149,18 @@ def summarise(metrics: dict[str, Float[Array, "T N"]]) -> dict[str, Float[Array,
     """Summarises the metrics of `envs.locomotion.Locomotion` over T steps of N robots.
 
     Args:
-      metrics: `switched`, `along`, `lateral`, `fell`, `broke_down`, each [T, N].
+      metrics: `switched`, `along`, `lateral`, `upright`, `fell`, `broke_down`, each [T, N].
 
     Returns:
       `along_mean`, `along_std`, `lateral_mean` (bias), `lateral_std` of the displacement per
       completed subgoal, in units, in the frame of its direction; `falls` and `breakdowns` per 1,000
-      subgoals, where one that ended in a fall counts as begun; `num_subgoals`. NaN where no subgoal
-      was completed.
+      subgoals, where one that ended in a fall counts as begun; `upright`, how upright the robots
+      are when a subgoal ends; `num_subgoals`. NaN where no subgoal was completed.
     """
     switched = metrics["switched"]
     along_mean, along_std = _moments(metrics["along"], switched)
     lateral_mean, lateral_std = _moments(metrics["lateral"], switched)
+    upright, _ = _moments(metrics["upright"], switched)
 
     # A fall or a breakdown ends the episode, and with it a subgoal that is never completed.
     falls, breakdowns = metrics["fell"].sum(), metrics["broke_down"].sum()
@@ -169,6 +170,7 @@ def summarise(metrics: dict[str, Float[Array, "T N"]]) -> dict[str, Float[Array,
         "along_std": along_std,
         "lateral_mean": lateral_mean,
         "lateral_std": lateral_std,
+        "upright": upright,
         "falls": 1000.0 * falls / begun,
         "breakdowns": 1000.0 * breakdowns / begun,
         "num_subgoals": begun,

@@ -209,7 +209,8 @@ def _envs(
         gait = subgoals.gait(robot, options.measured, options.step, options.sigma)
         make = functools.partial(loading.oracle_env, robot, stacked, gait=gait, reward=reward)
     else:
-        engine, low_policy = engines.make(robot, options.engine), loading.load_low(low, robot)
+        engine = engines.make(robot, options.engine)
+        low_policy = loading.load_low(low, robot, stand=options.stand)
         make = functools.partial(
             loading.full_env, engine, stacked, low_policy=low_policy, reward=reward
         )

@@ -1,6 +1,7 @@
 """Levels from their folders, and the environments in which they are evaluated together."""
 
 import dataclasses
+import pathlib
 
 import jax
 import jax.numpy as jnp
@@ -10,14 +11,24 @@ from jaxtyping import Array, Float, Int, Key
 from eihrl_jax import base, mazes
 from eihrl_jax.agents import peg_a2c
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.envs import hierarchy, low_obs, oracle_maze, physics_maze, raster, subgoals
+from eihrl_jax.envs import (
+    hierarchy,
+    low_obs,
+    oracle_maze,
+    physics_maze,
+    raster,
+    subgoals,
+)
 from eihrl_jax.evaluation import metas, rollouts
 from eihrl_jax.networks import actor_critic, droq, search
 from eihrl_jax.ops import planning
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import scene
+from eihrl_jax.physics import posture, scene
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import policies
+
+STAND, NOBODY = "stand", "none"
+"""Folder beside a low level of the one that stands the robot up; who does it where nobody does."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,12 +169,14 @@ class _Learned:
         return peg_a2c.sample(self.network, params, obs, key)
 
 
-def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
+def load_low(name: str, robot: robot_lib.Robot, *, stand: str | None = None) -> hierarchy.LowPolicy:
     """Loads a robot's low level; it acts deterministically.
 
     Args:
       name: run folder, policy folder or shipped name.
       robot: whose it must be.
+      stand: the low level that takes over while the robot is down, like `name`; "none" for nobody;
+        None: the one in the folder `stand` beside it, if there is one.
 
     Raises:
       base.UserError: there is none, it is damaged, or another robot's, or one of another version.
@@ -172,11 +185,26 @@ def load_low(name: str, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
     >>> policy = load_low("point", robots.load("point"))  # from a `LowObs` and a key to controls
     """
     path = policies.find(name, "low")
+    walk = _one_low(path, robot)
+    beside = path.parent / STAND
+    if stand is None and beside.is_dir():
+        stand = str(beside)
+    if stand is None or stand == NOBODY:
+        return walk
+
+    height = posture.standing_height(scene.build(robot))
+    return hierarchy.getting_up(walk, _one_low(policies.find(stand, "low"), robot), robot, height)
+
+
+def _one_low(path: pathlib.Path, robot: robot_lib.Robot) -> hierarchy.LowPolicy:
+    """Returns the policy in a folder."""
     params, meta = policies.load(path, kind="low", robot=robot.name)
 
     # Policies from before there were fingerprints don't say.
     told = metas.read(meta, metas.Low, path)
-    if told.fingerprint not in (None, scene.fingerprint(scene.build(robot), robot)):
+    model, full_range = scene.build(robot), told.low_input.full_range
+    fingerprint = scene.fingerprint(model, robot, full_range=full_range)
+    if told.fingerprint not in (None, fingerprint):
         raise base.UserError(
             f"{path} is a policy of another version of robot {robot.name!r}: its model or its "
             "times have changed since; train it again"

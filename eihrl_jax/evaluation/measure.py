@@ -15,6 +15,7 @@ from eihrl_jax.config import measure as measure_config
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import hierarchy, locomotion, postures, rooms, subgoals, wrappers
 from eihrl_jax.evaluation import loading
+from eihrl_jax.evaluation import standing as standing_lib
 from eihrl_jax.evaluation import statistics as statistics_lib
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import rotations, tree
@@ -92,12 +93,14 @@ class Measurement:
       robot: whose it is.
       statistics: by surrounding.
       drift: without and with anchors, after each of `DRIFT_AFTER`.
+      standing: how many stand up again; None for a robot that can't fall.
       steps: on open floor, on the host.
     """
 
     robot: robot_lib.Robot
     statistics: dict[str, subgoals.Statistics]
     drift: list[subgoals.Drift]
+    standing: standing_lib.Standing | None
     steps: Steps
 
     def postures(self, num: int) -> postures.PostureBank:
@@ -115,7 +118,7 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
       base.UserError: robot or policy is unknown or doesn't fit.
     """
     robot = robots.load(options.robot)
-    policy = loading.load_low(options.low or options.robot, robot)
+    policy = loading.load_low(options.low or options.robot, robot, stand=options.stand)
 
     # Open floor shows the gait alone; in rooms walls and turns disturb it as in a maze.
     engine = engines.make(robot, options.engine)
@@ -152,7 +155,9 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
             drift += [drift_after(steps, num, robot, anchored=anchored) for num in DRIFT_AFTER]
 
     statistics = {name: summarise(steps, robot, options.sigma) for name, steps in measured.items()}
-    return Measurement(robot, statistics, drift, measured[subgoals.OPEN])
+    key = _key(options, len(floors) + 1)
+    standing = standing_lib.measure(engine, policy, options.num_subgoals // 10, key)
+    return Measurement(robot, statistics, drift, standing, measured[subgoals.OPEN])
 
 
 def _env(

@@ -16,6 +16,7 @@ from eihrl_jax import base
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.envs import subgoals
 from eihrl_jax.evaluation import paper, results, statistics
+from eihrl_jax.evaluation import standing as standing_lib
 from eihrl_jax.mazes import suites
 
 TABLE1_MAZES = {"random": "Maze-ori", "g1": "Maze-g1", "g2": "Maze-g2", "g3": "Maze-g3"}
@@ -342,6 +343,14 @@ def of_drift(drift: Sequence[subgoals.Drift], robot: str) -> rich.table.Table:
         for d in drift
     ]
     return on_terminal(Table("in their cells, from the centre", head, body))
+
+
+def of_standing(standing: standing_lib.Standing, robot: str) -> rich.table.Table:
+    """Returns the table of how many of a robot stand again, for a `rich` console."""
+    head = [robot, *(f"stand after {after}, %" for after in standing.shares)]
+    shares = [_or_dash(100 * share, ".0f") for share in standing.shares.values()]
+    title = "on the ground, number of subgoals since"
+    return on_terminal(Table(title, head, [[f"{standing.num_down} lying", *shares]]))
 
 
 def _or_dash(value: float, form: str) -> str:

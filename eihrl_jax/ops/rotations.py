@@ -41,6 +41,11 @@ def with_positive_w(quat: Float[Array, "4"]) -> Float[Array, "4"]:
     return jnp.where(quat[0] < 0, -quat, quat)
 
 
+def up(quat: Float[Array, "4"]) -> Float[Array, ""]:
+    """Returns the cosine of a body's tilt: the z component of its own z axis."""
+    return 1.0 - 2.0 * (jnp.square(quat[1]) + jnp.square(quat[2]))
+
+
 def heading(quat: Float[Array, "4"]) -> Float[Array, "2"]:
     """Returns x and y of where an orientation (w, x, y, z) takes the x axis."""
     w, x, y, z = quat

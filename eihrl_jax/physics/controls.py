@@ -1,5 +1,7 @@
 """Controls in [-1, 1] and what a robot's actuators take: -1 and 1 are the ends of their ranges.
 
+Only a robot that gets up may ask servos for more, up to `robot.recovery_scale`.
+
 0 is rest: the middle of a motor's range, and the start posture for a servo, whose halves may then
 be of different length.
 """
@@ -22,23 +24,31 @@ class Controls(NamedTuple):
       low: float32 [nu], what -1 is to each actuator.
       rest: float32 [nu], what 0 is.
       high: float32 [nu], what 1 is.
+      limit: greatest control; beyond 1 where a robot may ask for more when it gets up, of which
+        the engine takes what the actuator's whole range allows.
     """
 
     low: Float[np.ndarray, " nu"]
     rest: Float[np.ndarray, " nu"]
     high: Float[np.ndarray, " nu"]
+    limit: float = 1.0
 
     def of(self, ctrl: ArrayT) -> ArrayT:
-        """Returns what controls [..., nu] in [-1, 1] are to the actuators; NaN stays NaN."""
-        up, down = ctrl.clip(0.0, 1.0), ctrl.clip(-1.0, 0.0)
+        """Returns what controls [..., nu] are to the actuators; NaN stays NaN."""
+        up, down = ctrl.clip(0.0, self.limit), ctrl.clip(-self.limit, 0.0)
         taken = self.rest + up * (self.high - self.rest) + down * (self.rest - self.low)
         return cast(ArrayT, taken)
 
 
-def of(model: mujoco.MjModel) -> Controls:
-    """Returns the map of a model that `fit` has fitted."""
-    low, high = model.actuator_ctrlrange.T.astype(np.float32)
-    return Controls(low, model.key_ctrl[0].astype(np.float32), high)
+def of(model: mujoco.MjModel, robot: robot_lib.Robot) -> Controls:
+    """Returns the map of a model that `fit` has fitted to a robot's description."""
+    rest, (low, high) = model.key_ctrl[0].copy(), model.actuator_ctrlrange.T.copy()
+    if robot.servo_range is not None:
+        is_servo = np.array([_is_servo(model, index) for index in range(model.nu)])
+        low[is_servo] = np.maximum(low, rest - robot.servo_range)[is_servo]
+        high[is_servo] = np.minimum(high, rest + robot.servo_range)[is_servo]
+    ends = (each.astype(np.float32) for each in (low, rest, high))
+    return Controls(*ends, limit=robot.recovery_scale)
 
 
 def fit(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
@@ -69,8 +79,9 @@ def fit(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
             # Where it holds the start posture: there its force is zero.
             rest = -(bias[0] + bias[1] * data.actuator_length[index]) / gain[0]
             rest = min(max(rest, low), high)
-            if robot.servo_range is not None:
-                low, high = max(low, rest - robot.servo_range), min(high, rest + robot.servo_range)
+            farthest = robot.recovery_range or robot.servo_range
+            if farthest is not None:
+                low, high = max(low, rest - farthest), min(high, rest + farthest)
 
         model.actuator_ctrllimited[index] = 1
         model.actuator_ctrlrange[index] = low, high

@@ -53,7 +53,8 @@ class Engine(Protocol):
 
         Args:
           state: where the robot is.
-          ctrl: actuator controls in [-1, 1], held for the whole step; values outside are clipped.
+          ctrl: actuator controls in [-1, 1], held for the whole step; values outside are clipped,
+            of a robot with a `recovery_range` at its `recovery_scale`.
           walls_xy: centres of the wall cells near the robot, units, see `walls.nearby`.
           is_running: whether the robot moves at all. One that doesn't stays as it is, which costs
             the C engine nothing: so an episode that has ended is put aside.

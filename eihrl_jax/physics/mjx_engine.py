@@ -41,7 +41,7 @@ class MjxEngine:
         """
         self.robot = robot
         self.model = scene.build(robot, cell)
-        self._controls = controls.of(self.model)
+        self._controls = controls.of(self.model, robot)
         try:
             self._model = mjx.put_model(self.model, impl="jax")
             self._data = mjx.make_data(self.model, impl="jax")

@@ -64,7 +64,7 @@ class _Simulations:
     def __init__(self, model: mujoco.MjModel, robot: robot_lib.Robot):
         self._model = model
         self._robot = robot
-        self._controls = controls.of(model)
+        self._controls = controls.of(model, robot)
         self._batches: dict[int, mujoco_batch.Batch] = {}
         self._lock = threading.Lock()  # JAX may run two programs at once
 
@@ -126,5 +126,6 @@ def _target(model: mujoco.MjModel, robot: robot_lib.Robot) -> str:
     """Returns a name that stands for all that a step depends on, the same in every process."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
-    numbers = f"{robot.units_per_metre!r} {robot.num_substeps}"
+    ranges = f"{robot.servo_range!r} {robot.recovery_range!r}"
+    numbers = f"{robot.units_per_metre!r} {robot.num_substeps} {ranges}"
     return f"eihrl_jax.step.{hashlib.sha256(content.tobytes() + numbers.encode()).hexdigest()}"

@@ -54,6 +54,11 @@ def lift(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
     model.body_pos[model.jnt_bodyid[0], 2] += max(missing, 0.0)
 
 
+def standing_height(model: mujoco.MjModel) -> float:
+    """Returns the torso's height in the start posture, metres; without a free root any number."""
+    return float(model.key_qpos[0, 2]) if model.nq > 2 else 0.0
+
+
 def lowest(model: mujoco.MjModel, qpos: Float[np.ndarray, " nq"]) -> float:
     """Returns the height of a robot's lowest part that collides, in metres."""
     ends, radius = _solid_parts(model, qpos)

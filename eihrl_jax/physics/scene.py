@@ -49,22 +49,27 @@ _CONTACT = {
 _MEANING = (
     *("jnt_type", "jnt_axis", "jnt_range", "dof_damping", "dof_armature", "body_mass", "body_pos"),
     *("body_quat", "geom_type", "geom_size", "geom_pos", "geom_contype", "actuator_gear"),
-    *("actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "key_qpos", "key_ctrl"),
+    *("actuator_gainprm", "actuator_biasprm"),
 )
-"""What of a compiled model a low level has learned to live with."""
+"""What of a compiled model a low level has learned to live with, besides its controls and start."""
 
 
-def fingerprint(model: mujoco.MjModel, robot: robot_lib.Robot) -> str:
+def fingerprint(model: mujoco.MjModel, robot: robot_lib.Robot, *, full_range: bool = False) -> str:
     """Returns a text that changes with a robot's model and with the times of its description.
 
     Args:
       model: its scene.
       robot: its description.
+      full_range: whether the low level moves servos as far as a robot that gets up may.
     """
+    taken = controls.of(model, robot)
+    ranges = np.stack([taken.low, taken.high], axis=1)
+    arrays = *(getattr(model, name) for name in _MEANING), ranges, model.key_qpos, model.key_ctrl
     # To four digits, in which versions of MuJoCo agree.
-    numbers = [f"{x:.3e}" for name in _MEANING for x in np.ravel(getattr(model, name)) + 0.0]
+    numbers = [f"{x:.3e}" for array in arrays for x in np.ravel(array) + 0.0]
     times = robot.physics_step, robot.num_substeps, robot.steps_per_subgoal
-    return hashlib.sha256(repr((numbers, times)).encode()).hexdigest()[:16]
+    told = (numbers, times, taken.limit) if full_range else (numbers, times)
+    return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 
 def _silence() -> None:

@@ -118,7 +118,7 @@ def seconds_upright(model: mujoco.MjModel, robot: robot_lib.Robot) -> float:
         return AT_REST
     data, low_high = _data(model, robot), robot.healthy_z
     for step in range(round(AT_REST / robot.control_step)):
-        data.ctrl[:] = controls.of(model).rest
+        data.ctrl[:] = controls.of(model, robot).rest
         mujoco.mj_step(model, data, robot.num_substeps)
         if not low_high[0] <= data.qpos[2] <= low_high[1]:
             return step * robot.control_step
@@ -127,7 +127,7 @@ def seconds_upright(model: mujoco.MjModel, robot: robot_lib.Robot) -> float:
 
 def is_stable(model: mujoco.MjModel, robot: robot_lib.Robot, seed: int = 0) -> bool:
     """Returns whether its numbers keep their sense at full power, new in every control step."""
-    rng, data, taken = np.random.default_rng(seed), _data(model, robot), controls.of(model)
+    rng, data, taken = np.random.default_rng(seed), _data(model, robot), controls.of(model, robot)
     for _ in range(_NUM_STEPS):
         data.ctrl[:] = taken.of(rng.choice(np.array([-1.0, 1.0], np.float32), model.nu))
         mujoco.mj_step(model, data, robot.num_substeps)
@@ -147,7 +147,7 @@ def symmetry_error(model: mujoco.MjModel, robot: robot_lib.Robot, seed: int = 0)
     symmetry = robot.symmetry
     if symmetry is None:
         return 0.0
-    rng, taken = np.random.default_rng(seed), controls.of(model)
+    rng, taken = np.random.default_rng(seed), controls.of(model, robot)
     start = _data(model, robot)
     num_root = {"free": 7, "planar": 3, "slide": 2}[robot.root]
     start.qpos[num_root:] += 0.1 * rng.uniform(-1.0, 1.0, model.nq - num_root)
@@ -211,7 +211,7 @@ def top_speed(model: mujoco.MjModel, robot: robot_lib.Robot, seed: int = 0) -> f
       robot: the description.
       seed: of the controls, each of which is -1 or 1 for a while.
     """
-    rng, data, taken = np.random.default_rng(seed), _data(model, robot), controls.of(model)
+    rng, data, taken = np.random.default_rng(seed), _data(model, robot), controls.of(model, robot)
     greatest = 0.0
 
     # First all of them forward: those of a cart that steers would turn it on the spot at random.

@@ -35,8 +35,11 @@ def _write(measured: measure_lib.Measurement, options: measure_config.MeasureCon
     # Surroundings at the top level, where `subgoals.load` looks for them.
     document = {name: vars(statistics) for name, statistics in measured.statistics.items()}
     drift = {subgoals.DRIFT: [vars(drift) for drift in measured.drift]}
+    standing = {} if measured.standing is None else {"standing": vars(measured.standing)}
     about = {"robot": robot.name, "low": options.low or options.robot, "sigma": options.sigma}
-    text = json.dumps(document | drift | about | {"versions": versions.describe()}, indent=2)
+    text = json.dumps(
+        document | drift | standing | about | {"versions": versions.describe()}, indent=2
+    )
     writing.write_text(options.out / subgoals.FILE, text + "\n")
 
     # Beside the figures, so that the high level can be trained with both, see `subgoals.gait`.

@@ -18,6 +18,7 @@ ROBOT = robot.Robot(
     body_radius=0.35,
     healthy_z=(0.15, 0.6),
     servo_range=0.25,
+    recovery_range=2.0,  # within the quarter of a radian it doesn't come off its back
     sensors="onboard",
     anchored=False,  # the shipped low level was trained without, and falls with them
     symmetry=symmetry.Symmetry(mirror_joints=_MIRROR, mirror_controls=_MIRROR),

@@ -43,6 +43,8 @@ class Robot:
       start: all of qpos at the start of an episode, instead of a keyframe's.
       servo_range: how far from the start posture controls of 1 move a servo at most, radians or
         metres; None: to the end of its range.
+      recovery_range: how far from it servos may move while the robot gets up after a fall, radians
+        or metres; None: no farther than otherwise.
       qpos_noise: half-width of the uniform noise on the joints at reset, radians.
       qvel_noise: standard deviation of the noise on velocities at reset, units or radians per
         second.
@@ -67,6 +69,7 @@ class Robot:
     keyframe: str | None = None
     start: tuple[float, ...] | None = None
     servo_range: limits.Positive | None = None
+    recovery_range: limits.Positive | None = None
     qpos_noise: Annotated[float, limits.Range(0.0, 3.2)] = 0.1
     qvel_noise: Annotated[float, limits.Range(0.0, 10.0)] = 0.1
     sensors: Sensors = "all"
@@ -92,6 +95,14 @@ class Robot:
         if self.start is not None and not all(map(math.isfinite, self.start)):
             raise base.UserError(f"start = {self.start} must hold finite numbers")
 
+        if self.recovery_range is not None and self.servo_range is None:
+            raise base.UserError("recovery_range widens servo_range, which isn't given")
+        if self.recovery_scale < 1.0:
+            raise base.UserError(
+                f"recovery_range = {self.recovery_range} must be at least "
+                f"servo_range = {self.servo_range}"
+            )
+
         if self.healthy_z is not None and not self.healthy_z[0] < self.healthy_z[1]:
             raise base.UserError(f"healthy_z = {self.healthy_z} must be a height and a greater one")
         if self.healthy_z is not None and self.root != "free":
@@ -104,6 +115,13 @@ class Robot:
     def control_step(self) -> float:
         """Seconds per control step."""
         return self.physics_step * self.num_substeps
+
+    @property
+    def recovery_scale(self) -> float:
+        """Controls that move servos `recovery_range` far, where 1 moves them `servo_range`."""
+        if self.recovery_range is None or self.servo_range is None:
+            return 1.0
+        return self.recovery_range / self.servo_range
 
     @property
     def units_per_metre(self) -> float:

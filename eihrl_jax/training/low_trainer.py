@@ -53,7 +53,9 @@ class LowTrainer:
         self.robot = robots.load(config.robot)
         engine = engines.make(self.robot, config.engine)
         self._num_actions = engine.model.nu
-        self._fingerprint = scene.fingerprint(engine.model, self.robot)
+        self._fingerprint = scene.fingerprint(
+            engine.model, self.robot, full_range=config.low_input.full_range
+        )
 
         # Statistics are always taken on open floor, whatever the robot learned among.
         floor = rooms.open_floor()
@@ -67,8 +69,9 @@ class LowTrainer:
             reward_options=config.reward,
             episode_steps=config.episode_steps,
             ends_at_fall=config.ends_at_fall,
+            thrown_share=config.thrown_share,
         )
-        self._env = wrappers.AutoReset(make_env(floor))
+        self._env = wrappers.AutoReset(make_env(floor, anchored=config.anchored))
         self._test_env = wrappers.AutoReset(make_env(rooms.open_floor()))
 
         # Sizes of the networks, without building a single robot.

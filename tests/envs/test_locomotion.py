@@ -88,6 +88,25 @@ def _pay(before, step, fell=False, time_left=1.0, **options):
     return float(low_reward.step_reward(obs, jnp.array(step), jnp.array(fell), options, 4))
 
 
+def test_going_too_far_before_an_anchored_subgoal_earns_nothing():
+    """What the way back to the anchor pays has been charged when the subgoal was given."""
+    options = low_config.LowReward(scale=1.0, lateral_weight=1.0, beyond_cell=-1.0)
+    ended = low_reward.StepOutcome(
+        terminated=jnp.array(False), is_switch=jnp.array(True), upright=jnp.float32(1.0)
+    )
+
+    def total(step, off):
+        """Pay for a step towards x+, and, as far as it was off, for going back towards y+."""
+        given = _obs([off, 0.0], direction=2)
+        first = low_reward.reward(_obs([2.0, 0.0]), given, jnp.array(step), ended, options, 4)
+        later = ended.replace(is_switch=jnp.array(False))
+        back = low_reward.reward(given, given, jnp.array([-off, 0.0]), later, options, 4)
+        return float(first + back)
+
+    assert total([1.0, 0.0], 0.0) == pytest.approx(1.0)
+    assert total([1.5, 0.0], 0.5) == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize(
     ("before", "step", "time_left", "expected"),
     [
@@ -157,7 +176,7 @@ def test_stored_step_relabelled_pays_as_if_the_other_direction_had_been_asked(po
         seen = see(same)
         np.testing.assert_allclose(seen.reward, after.reward, atol=1e-4)
         other = experience.relabel(stored, jnp.int32(2))
-        is_switch = bool(stored.is_switch)
+        is_switch = bool(stored.outcome.is_switch)
         expected = after.final_obs.direction if is_switch else 2
         assert int(other.obs.direction) == 2 and int(other.next_obs.direction) == expected
         assert float(seen.discount) == pytest.approx(0.9)
@@ -170,7 +189,7 @@ def test_a_step_restarted_is_the_first_of_its_subgoal(point_engine):
     for before, after in itertools.pairwise(states[12:]):
         stored = experience.of_step(before, jnp.zeros(2), after)
         anew = experience.restart(stored, jnp.int32(1), POINT)
-        assert not anew.is_switch
+        assert not anew.outcome.is_switch
         for obs, displacement, steps_left in (
             (anew.obs, np.zeros(2), 25),
             (anew.next_obs, stored.step_xy, 24),

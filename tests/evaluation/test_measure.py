@@ -136,8 +136,14 @@ def test_measuring_the_shipped_ant(tmp_path):
     assert found[subgoals.CORRIDORS].blocked == 0.0
     assert tables.of_subgoals(found, "ant").row_count == 12
     assert tables.of_drift(measured.drift, "ant").row_count == 6
-    written = json.loads((out / subgoals.FILE).read_text())[subgoals.DRIFT]
-    assert [row["num_subgoals"] for row in written] == [1, 10, 100] * 2
+    written = json.loads((out / subgoals.FILE).read_text())
+    assert [row["num_subgoals"] for row in written[subgoals.DRIFT]] == [1, 10, 100] * 2
+
+    # An ant on its back stays there.
+    standing = written["standing"]
+    assert standing["num_thrown"] == 10 > standing["num_down"] > 0
+    assert standing["shares"]["4"] < 0.5
+    assert tables.of_standing(measured.standing, "ant").row_count == 1
     with pytest.raises(base.UserError, match="not empty"):
         measurements.measure(options)
 

@@ -161,7 +161,7 @@ def test_controls_are_shares_of_each_actuators_range(tmp_path):
     )
     start = (0.0, 0.0, 0.65, 1.0, 0.0, 0.0, 0.0, 0.5, 0.6, 0.7, 0.8)
     robot = _table(tmp_path, actuators="".join(kinds), start=start)
-    found = controls.of(scene.build(robot))
+    found = controls.of(scene.build(robot), robot)
     low, high = np.deg2rad([20.0, 60.0])
     np.testing.assert_allclose(found.low, [0.0, 0.3, low, -6.0], rtol=1e-6)
     np.testing.assert_allclose(found.rest, [2.0, 0.6, 0.7, 0.0], rtol=1e-6)
@@ -171,9 +171,20 @@ def test_controls_are_shares_of_each_actuators_range(tmp_path):
     half = found.of(jnp.full(4, 0.5))
     np.testing.assert_allclose(half, (found.rest + found.high) / 2, rtol=1e-6)
 
-    narrow = controls.of(scene.build(dataclasses.replace(robot, servo_range=0.1)))
-    np.testing.assert_allclose(narrow.low, [0.0, 0.5, 0.6, -6.0], rtol=1e-6)
-    np.testing.assert_allclose(narrow.high, [4.0, 0.7, 0.8, 6.0], rtol=1e-6)
+    narrow = dataclasses.replace(robot, servo_range=0.1)
+    found = controls.of(scene.build(narrow), narrow)
+    np.testing.assert_allclose(found.low, [0.0, 0.5, 0.6, -6.0], rtol=1e-6)
+    np.testing.assert_allclose(found.high, [4.0, 0.7, 0.8, 6.0], rtol=1e-6)
+
+    # While it gets up, three times as far, and no farther.
+    wide = dataclasses.replace(narrow, recovery_range=0.3)
+    found = controls.of(scene.build(wide), wide)
+    np.testing.assert_allclose(found.of(np.full(4, 1.0, np.float32)), [4.0, 0.7, 0.8, 6.0], 1e-6)
+    np.testing.assert_allclose(found.of(np.full(4, 9.0, np.float32))[1:3], [0.9, 1.0], 1e-6)
+    with pytest.raises(base.UserError, match="recovery_range = 0.05 must be at least servo_range"):
+        dataclasses.replace(narrow, recovery_range=0.05)
+    with pytest.raises(base.UserError, match="recovery_range widens servo_range"):
+        dataclasses.replace(robot, recovery_range=0.3)
 
 
 def test_filters_are_left_out(tmp_path):

@@ -118,7 +118,7 @@ def test_presets_build(preset):
     trainer = low_trainer.LowTrainer(
         dataclasses.replace(preset, num_rooms=min(preset.num_rooms, 2))
     )
-    sizes = {"best": 30, "paper": 35, "point": 5, "swimmer": 12, "humanoid": 48}
+    sizes = {"best": 30, "paper": 35, "point": 5, "swimmer": 12, "humanoid": 48, "stand": 31}
     assert trainer.num_features == sizes[preset.preset]
 
 
