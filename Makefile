@@ -9,7 +9,7 @@ SOURCES := eihrl_jax experiments notebooks tests typings
 PYTHONS := python3.11 python3
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow lint typecheck format lock clean
+.PHONY: help demo test test-slow fuzz lint typecheck format lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -23,6 +23,9 @@ test: $(READY) ## run the default tests on CPU, side by side; ARGS=-n0 one after
 
 test-slow: $(READY) ## run the tests that take minutes
 	$(BIN)/python -m pytest -m "slow and not gpu" $(ARGS)
+
+fuzz: $(READY) ## try thousands of odd mazes, maps, robots, options and policies, about an hour
+	FUZZ=1 $(BIN)/python -m pytest -n 0 -rA -q tests/test_properties.py $(ARGS)
 
 lint: $(READY) ## check style
 	$(BIN)/ruff format --check $(SOURCES)

@@ -60,7 +60,7 @@ def _build(annotation: Hint, value: Json, name: str) -> Any:
     if origin in (typing.Union, types.UnionType):
         return _build_union(arguments, value, name)
     if origin is typing.Literal:
-        checks.one_of(name, value, arguments)
+        checks.one_of(name, value if isinstance(value, str) else repr(value), arguments)
         return value
     if origin is tuple:
         return _build_tuple(arguments, value, name)

@@ -298,24 +298,6 @@ def test_what_is_wrong_is_told_in_one_line(read, tmp_path, content, beside, opti
     assert not (tmp_path / "pwned").exists()
 
 
-LETTERS = "#.SG*D19><^vO01r \n\t\\\"',[]{}()=:-!&@TW"
-STARTS = ["", "type octile\nheight 1\nwidth 3\nmap\n", "version 1\n", "image: a\n", "[[", "{"]
-
-
-@hypothesis.settings(deadline=None, max_examples=120)
-@hypothesis.given(
-    strategies.sampled_from(STARTS),
-    strategies.text(LETTERS, max_size=60) | strategies.text(max_size=20) | strategies.binary(),
-)
-def test_any_text_is_a_maze_or_has_one_line_said_of_it(tmp_path_factory, start, text):
-    path = tmp_path_factory.getbasetemp() / "any"
-    path.write_bytes(start.encode() + (text if isinstance(text, bytes) else text.encode()))
-    try:
-        mazes.load(path)
-    except base.UserError as error:
-        assert "\n" not in str(error)
-
-
 @hypothesis.settings(deadline=None, max_examples=40)
 @hypothesis.given(
     strategies.integers(0, 10_000),
