@@ -171,13 +171,22 @@ def _load_start(trainer: LowTrainer, path: pathlib.Path) -> LowState:
     """Loads the last state of the run that another one begins with.
 
     Raises:
-      base.UserError: there is no checkpoint, or one that is damaged or of another structure.
+      base.UserError: there is no checkpoint, or one that is damaged, of another structure, or of a
+        robot that was another one then.
     """
     # Shapes are enough to read by; no robot is reset for it.
     shapes = jax.eval_shape(trainer.init, jax.random.key(0))
     restored = checkpoint.restore(path / run_folder.CHECKPOINTS, shapes)
     if restored is None:
         raise base.UserError(f"start_from = {path} holds no checkpoint")
+
+    # What it has stored is another robot's, though it has the same shapes.
+    meta = policies.read_meta(policies.find(path, "low"))
+    if meta.get("fingerprint") != trainer.fingerprint:
+        raise base.UserError(
+            f"start_from = {path} is a run of another version of robot {trainer.robot.name!r}: its "
+            "model, its times or its range of controls have changed since"
+        )
     return restored[1]
 
 

@@ -53,7 +53,7 @@ class LowTrainer:
         self.robot = robots.load(config.robot)
         engine = engines.make(self.robot, config.engine)
         self._num_actions = engine.model.nu
-        self._fingerprint = scene.fingerprint(
+        self.fingerprint = scene.fingerprint(
             engine.model, self.robot, full_range=config.low_input.full_range
         )
 
@@ -193,7 +193,7 @@ class LowTrainer:
         """Returns what must stand beside the parameters for them to be used."""
         return {
             "robot": self.robot.name,
-            "fingerprint": self._fingerprint,
+            "fingerprint": self.fingerprint,
             "low_input": vars(self.config.low_input),
             "hidden": list(self.config.droq.hidden),
             "num_features": self.num_features,

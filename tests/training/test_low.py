@@ -107,6 +107,15 @@ def test_start_that_does_not_fit_is_refused(whole_run, tmp_path):
         low.train(_config(tmp_path / "second", start_from=whole_run.run, droq=droq))
 
 
+def test_start_from_a_robot_that_has_changed_is_refused(whole_run, tmp_path):
+    config = _config(tmp_path / "third", start_from=whole_run.run)
+    trainer = low_trainer.LowTrainer(config)
+    trainer.fingerprint = "of a heavier point"
+    with pytest.raises(base.UserError, match="another version of robot 'point'"):
+        low.train_with(trainer, config)
+    assert not config.run.exists()
+
+
 def test_other_options_are_refused_on_resume(whole_run):
     other = dataclasses.replace(whole_run, resume=True, seed=1)
     with pytest.raises(base.UserError, match="seed = 0 and can't go on with 1"):
