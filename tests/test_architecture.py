@@ -26,7 +26,7 @@ LAYERS = (
     {"evaluation", "training"},
     {"drawing"},
     {"gym", "reporting"},
-    {"benchmarks", "studies"},
+    {"benchmarks", "datasets", "studies"},
     {"cli"},
     {"experiments"},
 )
@@ -58,7 +58,8 @@ ONLY_IN = {
     "orbax": ("eihrl_jax/runs/arrays.py",),
     "tensorboardX": ("eihrl_jax/runs/",),
     "brax": ("eihrl_jax/brax/",),
-    "gymnasium": ("eihrl_jax/gym/", "eihrl_jax/benchmarks/low.py"),
+    "gymnasium": ("eihrl_jax/gym/", "eihrl_jax/datasets/", "eihrl_jax/benchmarks/low.py"),
+    "minari": ("eihrl_jax/datasets/minari_files.py",),
     "matplotlib": ("eihrl_jax/drawing/", "eihrl_jax/reporting/"),
     "PIL": ("eihrl_jax/drawing/", "eihrl_jax/reporting/", "eihrl_jax/mazes/readers/pictures.py"),
     "yaml": ("eihrl_jax/mazes/readers/pictures.py",),

@@ -109,6 +109,22 @@ def measure_low() -> Command:
     return Command(main, measure_config.MeasureConfig)
 
 
+def dataset() -> Command:
+    """Writes episodes of a hierarchy as a dataset of Minari."""
+    from eihrl_jax import datasets
+    from eihrl_jax.config import dataset as dataset_config
+
+    def main(options: dataset_config.DatasetConfig) -> None:
+        datasets.check_installed()
+        from eihrl_jax.datasets import dataset as dataset_lib
+
+        path = dataset_lib.write(options)
+        print(f"written to {path}: {options.episodes:,} episodes")
+        print(f"next: minari.load_dataset({dataset_lib.name_of(options)!r})")
+
+    return Command(main, dataset_config.DatasetConfig)
+
+
 def plot() -> Command:
     """Draws the learning curves of runs in one picture, seeds together."""
     from eihrl_jax.config import runs as runs_config
@@ -272,6 +288,7 @@ COMMANDS: dict[str, Make] = {
         train_baseline,
         evaluate,
         measure_low,
+        dataset,
         plot,
         compare,
         robot,

@@ -136,24 +136,28 @@ class GoalMaze:
         # The learners of `baselines` go on to the end of a subgoal, past that of the episode.
         return wrappers.rest_if_over(state, self._state(inner, outcome, state.key))
 
+    def observe(self, nav: task.Navigation, physics: engine_lib.PhysicsState) -> base.GoalObs:
+        """Returns what is known at a moment; the decisions of `nav` are control steps."""
+        xy, success = physics.qpos[:2], task.success(self.table, nav)
+        # Once all goals are visited the robot's own place is shown as goal, as the reward has it.
+        goal_xy = jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, nav, xy))
+        return base.GoalObs(
+            xy=xy,
+            proprioception=physics.proprioception,
+            goal_xy=goal_xy,
+            time=nav.decisions.astype(jnp.float32) / base.TIME_UNIT,
+        )
+
     def _state(self, inner: GoalMazeState, outcome: base.Outcome, key: Key[Array, ""]) -> EnvState:
         """Puts together what `reset` and `step` return."""
         steps = inner.nav.decisions.astype(jnp.float32)
-        xy, success = inner.physics.qpos[:2], task.success(self.table, inner.nav)
-        # Once all goals are visited the robot's own place is shown as goal, as the reward has it.
-        obs = base.GoalObs(
-            xy=xy,
-            proprioception=inner.physics.proprioception,
-            goal_xy=jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, inner.nav, xy)),
-            time=steps / base.TIME_UNIT,
-        )
-
         metrics = {
-            "success": success,
+            "success": task.success(self.table, inner.nav),
             "decisions": jnp.ceil(steps / self.robot.steps_per_subgoal),
             "steps": steps,
             "return": inner.total_reward,
             "fell": inner.has_fallen,
             "broke_down": inner.is_broken,
         }
+        obs = self.observe(inner.nav, inner.physics)
         return base.EnvState.of(inner=inner, obs=obs, outcome=outcome, metrics=metrics, key=key)

@@ -22,7 +22,7 @@ from eihrl_jax.robots import robot as robot_lib
 BEST = "best"
 """What stands for the shipped high level that `evaluate` takes unless told otherwise."""
 
-_HIGH_STREAM = 0x6869_6768
+HIGH_STREAM = 0x6869_6768
 """Folded into a state's key for the high level's draws, which must not be those of the robot."""
 
 
@@ -133,7 +133,7 @@ class LoadedMaze:
         self, state: physics_maze.EnvState
     ) -> tuple[physics_maze.EnvState, recording.Decision]:
         """Makes one decision and walks it; also returns the way there."""
-        key = jax.random.fold_in(state.key, _HIGH_STREAM)
+        key = jax.random.fold_in(state.key, HIGH_STREAM)
         action = self.levels.high.policy(state.obs, key)
         following, trace = self.env.trace(state, action)
         # Over is over: numbers of an episode stay while others beside it go on.

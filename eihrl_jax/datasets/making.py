@@ -1,0 +1,105 @@
+"""Builds what a dataset's options name: who acts, and the environment that is told."""
+
+import dataclasses
+from typing import NamedTuple
+
+import gymnasium
+
+import eihrl_jax.gym
+from eihrl_jax import mazes, robots
+from eihrl_jax.config.dataset import DatasetConfig
+from eihrl_jax.datasets import episodes
+from eihrl_jax.envs import goal_maze, oracle_maze
+from eihrl_jax.evaluation import loading
+from eihrl_jax.gym import places
+from eihrl_jax.gym.high_level import HighLevelTask
+from eihrl_jax.gym.maze import MazeTask
+
+
+class Made(NamedTuple):
+    """What a dataset is made with.
+
+    Attributes:
+      teller: runs episodes.
+      env: the Gymnasium environment whose episodes they are; nothing of it is compiled.
+    """
+
+    teller: episodes.Teller
+    env: gymnasium.Env
+
+
+def make(config: DatasetConfig) -> Made:
+    """Loads robot, maze and levels.
+
+    Raises:
+      base.UserError: one of them is unknown, damaged, or doesn't fit the others.
+    """
+    high = loading.load_high(config.high)
+    if config.movement == "full":
+        return _walking(config, high)
+    return _by_oracle(config, high)
+
+
+def _walking(config: DatasetConfig, high: loading.HighLevel) -> Made:
+    """Returns a robot that walks."""
+    options = {
+        "maze": config.maze,
+        "robot": config.robot,
+        "reward": config.reward,
+        "engine": config.engine,
+        "num_decisions": config.num_decisions,
+        "observation": config.observation,
+    }
+    env = gymnasium.make(eihrl_jax.gym.MAZE_ID, **options)
+
+    robot = robots.load(config.robot)
+    engine = places.engine_of(robot, config.engine)
+    maze = mazes.load(config.maze, num_decisions=config.num_decisions)
+    stacked = mazes.stack([maze])
+    levels = loading.full_env(
+        engine,
+        stacked,
+        high.view_in(stacked),
+        loading.load_low(config.low or config.robot, robot),
+        anchored=high.anchors(robot),
+        reward=config.reward,
+    )
+    task = MazeTask(
+        robot,
+        places.HostMaze.load(config.maze, config.num_decisions),
+        config.reward,
+        config.engine,
+        config.observation,
+    )
+    bare = goal_maze.GoalMaze(engine, maze, reward=config.reward)
+    return Made(episodes.Walking(high, levels, bare, task), env)
+
+
+def _by_oracle(config: DatasetConfig, high: loading.HighLevel) -> Made:
+    """Returns a robot that the simulator moves; of a map its high level sees as in training."""
+    robot = robots.load(config.robot)
+    anchored = high.anchors(robot)
+    view = dataclasses.asdict(high.view)
+    options = {
+        "maze": config.maze,
+        "robot": config.robot,
+        "movement": "oracle",
+        "reward": config.reward,
+        "num_decisions": config.num_decisions,
+        "anchored": anchored,
+        **{name: view[name] for name in ("extent", "pixels", "map_radius", "knows")},
+    }
+    env = gymnasium.make(eihrl_jax.gym.HIGH_LEVEL_ID, **options)
+
+    task = HighLevelTask(
+        robot,
+        places.HostMaze.load(config.maze, config.num_decisions),
+        config.reward,
+        "oracle",
+        config.robot,
+        high.view,
+        anchored,
+    )
+    bare = task.environment()
+    assert isinstance(bare, oracle_maze.OracleMaze)
+    return Made(episodes.ByOracle(high, bare, task), env)

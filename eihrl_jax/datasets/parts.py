@@ -1,0 +1,116 @@
+"""Finished episodes on disk, batch by batch, until all are there."""
+
+import pathlib
+import zipfile
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import numpy as np
+
+from eihrl_jax import base
+from eihrl_jax.datasets import episodes
+from eihrl_jax.storage import writing
+
+Arrays = dict[str, np.ndarray]
+"""What is told of an episode by name, "infos/qpos" for what is inside of a dict."""
+
+_LENGTHS = "lengths"
+_MOMENTS = ("observations", "infos")
+"""What is told once more than there are steps: of the start, too."""
+
+
+class Rows:
+    """Runs N episodes at once, compiled once."""
+
+    def __init__(self, teller: episodes.Teller, num: int):
+        """Compiles nothing yet."""
+        self._num = num
+        self._reset = jax.jit(jax.vmap(teller.reset))
+        self._decide = jax.jit(jax.vmap(teller.decide))
+
+    def run(self, first_seed: int) -> list[Arrays]:
+        """Returns the episodes of N seeds, each whole."""
+        seeds = np.arange(first_seed, first_seed + self._num, dtype=np.uint32)
+        state, shown = self._reset(jax.vmap(jax.random.key)(seeds))
+        shown = jax.device_get(shown)
+
+        told = []
+        while not np.asarray(state.is_over).all():
+            state, steps = self._decide(state)
+            told.append(jax.device_get(steps))
+        steps = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *told)
+        rows = [jax.tree.map(lambda leaf, i=i: leaf[i], (shown, steps)) for i in range(self._num)]
+        return [_episode(*row) for row in rows]
+
+
+def _episode(first: episodes.Shown, steps: episodes.Steps) -> Arrays:
+    """Returns what is told of one episode, its rest left out."""
+    num = int(steps.is_running.sum())  # it runs, and then rests
+    steps = jax.tree.map(lambda leaf: leaf[:num], steps)
+    obs, infos = jax.tree.map(
+        lambda start, rest: np.concatenate([start[None], rest]), tuple(first), tuple(steps.shown)
+    )
+    # At the last moment the subgoal before it is told, for there is none after it.
+    infos["direction"] = np.concatenate([steps.direction, steps.direction[-1:]])
+    return _flat(
+        {
+            "observations": obs,
+            "actions": steps.action,
+            "rewards": steps.outcome.reward,
+            "terminations": steps.outcome.terminated,
+            "truncations": steps.outcome.truncated,
+            "infos": infos,
+        }
+    )
+
+
+def write(path: pathlib.Path, told: list[Arrays]) -> None:
+    """Writes episodes to a file, which is there whole or not at all."""
+    arrays: dict[str, Any] = {
+        name: np.concatenate([each[name] for each in told]) for name in told[0]
+    }
+    arrays[_LENGTHS] = np.array([len(each["rewards"]) for each in told])
+    with writing.new_file(path) as file:
+        np.savez(file, **arrays)
+
+
+def read(path: pathlib.Path) -> Iterator[Arrays]:
+    """Returns the episodes of a file that `write` wrote.
+
+    Raises:
+      base.UserError: it is damaged.
+    """
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        lengths = arrays.pop(_LENGTHS)
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise base.UserError(f"{path} is damaged; remove it, and --resume runs it again") from error
+
+    ends = {name: np.cumsum(lengths + (name.partition("/")[0] in _MOMENTS)) for name in arrays}
+    for i in range(len(lengths)):
+        yield {
+            name: array[(ends[name][i - 1] if i else 0) : ends[name][i]]
+            for name, array in arrays.items()
+        }
+
+
+def nested(arrays: Arrays) -> dict[str, Any]:
+    """Returns arrays by name as dicts within each other."""
+    made: dict[str, Any] = {}
+    for name, array in arrays.items():
+        *outer, last = name.split("/")
+        inside = made
+        for word in outer:
+            inside = inside.setdefault(word, {})
+        inside[last] = array
+    return made
+
+
+def _flat(values: Any, name: str = "") -> Arrays:
+    """Undoes `nested`."""
+    if not isinstance(values, dict):
+        return {name: np.asarray(values)}
+    parts = [_flat(value, f"{name}/{key}" if name else key) for key, value in values.items()]
+    return {key: value for part in parts for key, value in part.items()}
