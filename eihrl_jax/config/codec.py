@@ -117,7 +117,9 @@ def _build_dataclass(annotation: Hint, value: Json, name: str) -> Any:
     value = {key: item for key, item in value.items() if key not in retired}
     unknown = [key for key in value if key not in known]
     if unknown:
-        raise base.UserError(f"{name}: unknown option {unknown[0]!r}; known: {', '.join(known)}")
+        raise base.UserError(
+            f"{name}: unknown option {unknown[0]!r:.80}; known: {', '.join(known)}"
+        )
 
     # Through the constructor, so that what is read is checked like what is typed in.
     return annotation(**{key: _build(hints[key], item, key) for key, item in value.items()})

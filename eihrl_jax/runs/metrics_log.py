@@ -1,6 +1,7 @@
 """The numbers of one run, row by row: metrics.csv, and the same as events for TensorBoard."""
 
 import csv
+import hashlib
 import io
 import math
 import pathlib
@@ -33,15 +34,38 @@ class MetricsLog:
         self._folder = folder
         self._columns: list[str] = []
         self._first_step = 0
+        self._sum = hashlib.sha256()
         self._events: event_file_writer.EventsWriter | None = None
 
-    def rewind(self, step: int) -> None:
+    @property
+    def checksum(self) -> str:
+        """Changes with any number that has been logged so far."""
+        return self._sum.hexdigest()[:16]
+
+    def rewind(self, step: int, checksum: str | None = None) -> None:
         """Drops all that was logged after a step, and a last row that a kill cut short.
 
+        Args:
+          step: the last one that remains.
+          checksum: as it was after that step; None: unknown.
+
         Raises:
-          UserError: the table is damaged.
+          UserError: the table is damaged; it is left as it is.
         """
-        self._columns = _drop_rows_after(self._folder / FILE, step)
+        file = self._folder / FILE
+        header, rows = _rows_until(file, step)
+        for row in rows:
+            values = zip(header[1:], row[1:], strict=False)
+            self._count(row[0], {name: text for name, text in values if text})
+        if checksum is not None and checksum != self.checksum:
+            raise base.UserError(f"{file} isn't what the run has logged up to step {step}")
+
+        # Without rows there are no columns either: those that remain come in the order of rows.
+        if rows:
+            _write(file, [header, *rows])
+        else:
+            file.unlink(missing_ok=True)
+        self._columns = header[1:] if rows else []
         self._first_step = step + 1  # TensorBoard drops what older files have from here on
 
     def log(self, step: int, metrics: Mapping[str, SupportsFloat]) -> None:
@@ -67,6 +91,7 @@ class MetricsLog:
         # Line by line, so that a kill costs the row that is being written at most.
         row = [step, *(values.get(name, "") for name in self._columns)]
         writing.append(self._folder / FILE, _as_csv([row]))
+        self._count(str(step), {name: str(value) for name, value in values.items()})
 
         with writing.named(self._folder / _EVENTS):
             if self._events is None:
@@ -77,6 +102,10 @@ class MetricsLog:
                     self._events.write_event(_event(step, summary=scalar))
             self._events.flush()
 
+    def _count(self, step: str, texts: Mapping[str, str]) -> None:
+        """Adds a row to the checksum, the same in a table that has got more columns since."""
+        self._sum.update(repr((step, sorted(texts.items()))).encode())
+
     def close(self) -> None:
         """Closes the files; may be called twice."""
         if self._events is not None:
@@ -85,25 +114,18 @@ class MetricsLog:
                 events.close()
 
 
-def _drop_rows_after(file: pathlib.Path, step: int) -> list[str]:
-    """Drops rows later than `step` and a last one cut short; returns the columns after `step`."""
+def _rows_until(file: pathlib.Path, step: int) -> tuple[list[str], list[list[str]]]:
+    """Returns the header and the rows up to a step, without a last one that was cut short."""
     if not file.is_file():
-        return []
+        return [], []
     # A kill can only have cut the last line, as rows are appended one by one.
     lines = reading.read_text(file).splitlines(keepends=True)
     complete = [line for line in lines if line.endswith("\n")]
-    header, *rows = csv.reader(complete) if complete else [[]]
     try:
-        kept = [row for row in rows if int(row[0]) <= step]
-    except (ValueError, IndexError):
+        header, *rows = csv.reader(complete) if complete else [[]]
+        return header, [row for row in rows if int(row[0]) <= step]
+    except (ValueError, IndexError, csv.Error):
         raise base.UserError(f"{file} is damaged: a row doesn't begin with a number") from None
-
-    # Without rows there are no columns either: those that remain come in the order of their rows.
-    if not kept:
-        file.unlink()
-        return []
-    _write(file, [header, *kept])
-    return header[1:]
 
 
 def _widen(file: pathlib.Path, header: Sequence[str]) -> None:

@@ -121,7 +121,8 @@ class RunFolder:
         checkpoint.save(self.path / CHECKPOINTS, step, state)
         if self._lock is not None:
             seconds = round(time.monotonic() - self._begin, 1)
-            self._starts[-1] |= {"step": step, "seconds": seconds}
+            logged = {"metrics": self._metrics.checksum}
+            self._starts[-1] |= {"step": step, "seconds": seconds} | logged
             self._write_starts()
 
     def restore(self, template: StateT) -> tuple[int, StateT] | None:
@@ -151,7 +152,9 @@ class RunFolder:
 
             if restored is None and (self.path / metrics_log.FILE).is_file():
                 print(f"{self.path} has no checkpoint yet: the run begins anew", file=sys.stderr)
-            self._metrics.rewind(-1 if restored is None else restored[0])
+            step = -1 if restored is None else restored[0]
+            known = [start.get("metrics") for start in self._starts if start.get("step") == step]
+            self._metrics.rewind(step, known[-1] if known else None)
             self._write_start()
         return restored
 
@@ -218,7 +221,8 @@ def read_starts(path: pathlib.Path) -> list[dict[str, Json]]:
     """Returns what is known of each start of a run, the first one first.
 
     An entry is as `versions.describe` has it, with the `step` of its last checkpoint and the
-    `seconds` until then, compilation included, where one was written.
+    `seconds` until then, compilation included, where one was written, and the checksum of the
+    `metrics` up to it.
     """
     try:
         starts = reading.read_json(path / _STARTS)

@@ -156,6 +156,27 @@ def test_damaged_metrics_are_named_and_left_alone(tmp_path):
     assert file.read_text() == damaged
 
 
+@pytest.mark.parametrize("change", [("0.2", "0.3"), ("2,0.2,0.5,\n", ""), ("success", "loss")])
+def test_metrics_that_were_changed_are_named_and_left_alone(tmp_path, change):
+    with create(tmp_path / "run") as run:
+        record(run, range(1, 4), save_at=(3,))
+        run.log(4, {"later": 1.0})  # widens the table, which is no change
+    create(tmp_path / "run", resume=True).close()
+    file = tmp_path / "run" / "metrics.csv"
+    whole = file.read_text()
+    file.write_text(whole.replace(*change))
+    before = snapshot(tmp_path)
+    with (
+        create(tmp_path / "run", resume=True) as run,
+        pytest.raises(base.UserError, match=r"metrics.csv isn't what the run has logged .* step 3"),
+    ):
+        run.restore(STATE)
+    assert snapshot(tmp_path) == before
+    file.write_text(whole)
+    with create(tmp_path / "run", resume=True) as run:
+        assert run.restore(STATE)[0] == 3
+
+
 def test_a_run_without_checkpoint_says_that_it_begins_anew(tmp_path, capsys):
     with create(tmp_path / "run") as run:
         record(run, range(1, 3))

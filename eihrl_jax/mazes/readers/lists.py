@@ -13,6 +13,7 @@ import io
 import json
 import math
 import tokenize
+import warnings
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,12 @@ def of_json(text: str, options: reading.ReadingConfig, name: str) -> plan_lib.Pl
 
 def of_npy(data: bytes, options: reading.ReadingConfig, name: str) -> plan_lib.Plan:
     """Reads a NumPy array of numbers or characters; arrays of objects would run code."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what Python 2 has written, which is read all the same
+        return _of_npy(data, options, name)
+
+
+def _of_npy(data: bytes, options: reading.ReadingConfig, name: str) -> plan_lib.Plan:
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)
