@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 from eihrl_jax import base
-from eihrl_jax.benchmarks import baselines, high, low, physics
+from eihrl_jax.benchmarks import adapters, baselines, high, low, physics
 from eihrl_jax.benchmarks.part import Part
 from eihrl_jax.config import limits
 from eihrl_jax.runs import versions
@@ -23,6 +23,7 @@ PARTS: dict[str, Part[Any]] = {
     "walking": Part(low.walking_rate, low.walking_rows),
     "updates": Part(low.updates_per_second, low.updates_rows),
     "baselines": Part(baselines.higl_rate, baselines.higl_rows),
+    "adapters": Part(adapters.adapter_costs, adapters.adapter_rows),
 }
 """What can be measured, by name; each part has figures of its own kind, hence `Any`."""
 
@@ -34,12 +35,13 @@ class BenchmarkConfig:
     Run it on a machine that does nothing else; the figures stand beside the machine's name.
 
     Attributes:
-      parts: what to measure; default: everything but updates, which needs sbx-rl installed.
+      parts: what to measure; default: everything but updates, which needs sbx-rl installed, and
+        adapters, which needs Gymnasium and Brax.
       out: folder of the results, must be new.
     """
 
     parts: limits.Several[Annotated[str, limits.OneOf(PARTS)]] = tuple(
-        part for part in PARTS if part != "updates"
+        part for part in PARTS if part not in ("updates", "adapters")
     )
     out: pathlib.Path = pathlib.Path("runs/benchmark")
 

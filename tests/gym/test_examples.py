@@ -1,16 +1,23 @@
-"""The examples of the page on Gymnasium run, with little training, where their client is there."""
+"""The examples of the pages on Gymnasium and Brax run, briefly, where their client is there."""
 
 import importlib.util
 import pathlib
 import re
 
+import jax
 import pytest
 
 from eihrl_jax.mazes import layouts
 
-PAGE = (pathlib.Path(__file__).parents[2] / "docs" / "gymnasium.md").read_text()
-EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-CLIENTS = ("stable_baselines3", "sbx", "moviepy")
+DOCS = pathlib.Path(__file__).parents[2] / "docs"
+PAGES = {name: (DOCS / f"{name}.md").read_text() for name in ("brax", "gymnasium")}
+EXAMPLES = [
+    # Brax's PPO compiles for a minute.
+    pytest.param(name, text, marks=[pytest.mark.slow] * ("ppo.train" in text), id=f"{name}-{i}")
+    for name, page in PAGES.items()
+    for i, text in enumerate(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
+]
+CLIENTS = ("brax", "stable_baselines3", "sbx", "moviepy")
 
 
 def lacks(example: str) -> list[str]:
@@ -19,21 +26,25 @@ def lacks(example: str) -> list[str]:
     return [name for name in CLIENTS if name in text and not importlib.util.find_spec(name)]
 
 
-@pytest.mark.parametrize("number", range(len(EXAMPLES)))
+@pytest.mark.parametrize(("name", "example"), EXAMPLES)
 # SB3 wants its users to know that a GPU would be of no use.
 @pytest.mark.filterwarnings("ignore:.*primarily intended to run on the CPU")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_examples_run(number, tmp_path, monkeypatch):
-    example = EXAMPLES[number]
+def test_examples_run(name, example, tmp_path, monkeypatch):
     if lacks(example):
         pytest.skip(f"{', '.join(lacks(example))} not installed")
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_maze.txt").write_text(layouts.U)
-    small = re.search(r"```text\n(#####\n.*?)```", PAGE, re.DOTALL)
+    small = re.search(r"```text\n(#####\n.*?)```", PAGES["gymnasium"], re.DOTALL)
     (tmp_path / "u5.txt").write_text(small[1])
     # Learners stop at the first occasion after one step, which comes soon.
     short = re.sub(r"\.learn\([\d_]+\)", ".learn(1)", example)
     short = re.sub(r"n_steps=\d+", "n_steps=16", short)
-    assert short != example or "learn" not in example
-    exec(compile(short, f"docs/gymnasium.md, example {number}", "exec"), {})
+    short = re.sub(r"NUM_UPDATES, (.*) = [\d_]+", r"NUM_UPDATES, \1 = 2", short)
+    short = re.sub(r"num_timesteps=[\d_]+", "num_timesteps=1", short)
+    short = short.replace("num_envs=64", "num_envs=8")
+    assert short != example or not re.search(r"\.learn\(|\.train\(|NUM_UPDATES", example)
+    # Brax isn't as strict about types as the tests are.
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        exec(compile(short, f"docs/{name}.md", "exec"), {})
