@@ -123,6 +123,8 @@ class LowConfig:
       num_rooms: random rooms to train in, every second one with inner walls; 0: open floor alone.
       corridor_share: share of the random rooms that are corridors of one cell's width; there
         directions are free and subgoals count from the middle of the robot's cell, as in a maze.
+      start_jitter: half-width of the uniform offset of a robot's start from the middle of its cell,
+        units.
       anchored: in all rooms subgoals count from the middle of the robot's cell, as in a maze.
       episode_steps: control steps per episode.
       ends_at_fall: a fall ends the episode; else the robot may learn to get up again.
@@ -156,6 +158,7 @@ class LowConfig:
     relabel_share: limits.Fraction = 1.0
     num_rooms: Annotated[int, limits.Range(0, 4096)] = 0
     corridor_share: limits.Fraction = 0.0
+    start_jitter: Annotated[float, limits.Range(0.0, 1.4)] = 0.2
     anchored: bool = False
     episode_steps: Annotated[int, limits.Range(1, 100_000)] = 500  # 20 subgoals of the ant
     ends_at_fall: bool = True

@@ -99,6 +99,7 @@ class Locomotion:
         self._height = posture.standing_height(engine.model)
         # Known before anything is compiled: without corridors nothing is computed for them.
         self._has_corridors = bool(rooms.is_corridor.any())
+        self._start_jitter = float(rooms.mazes.start_jitter.max())
 
     def reset(self, key: Key[Array, ""]) -> EnvState:
         """Draws a room, a start, a posture and a first subgoal."""
@@ -107,7 +108,7 @@ class Locomotion:
         room = jax.random.randint(room_key, (), 0, self._rooms.is_corridor.shape[0])
         start_xy = maze_lib.draw_start(self.room(room), start_key)
         physics = body_lib.draw_start(
-            self._engine, self.room(room), start_xy, pose_key, rooms_lib.START_JITTER
+            self._engine, self.room(room), start_xy, pose_key, self._start_jitter
         )
         if self._thrown_share > 0.0:
             share_key, throw_key = jax.random.split(jax.random.fold_in(pose_key, 1))

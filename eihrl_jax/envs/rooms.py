@@ -10,7 +10,8 @@ from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import perfect
 
 START_JITTER = 0.2
-"""Half-width in units of the start's offset; what fits into a cell starts clear of walls."""
+"""Half-width in units of a start's offset, if no other is asked for; what fits into a cell starts
+clear of walls."""
 
 SIZE = 15
 """Rows and columns of a room to learn in, its outer ring of wall included; an odd number."""
@@ -41,7 +42,12 @@ def open_floor(size: int = 41) -> Rooms:
 
 
 def random_rooms(
-    num_rooms: int, seed: int, *, wall_density: float = 0.15, corridor_share: float = 0.0
+    num_rooms: int,
+    seed: int,
+    *,
+    wall_density: float = 0.15,
+    corridor_share: float = 0.0,
+    start_jitter: float = START_JITTER,
 ) -> Rooms:
     """Draws square rooms; of those that are no corridors every second one is empty.
 
@@ -51,6 +57,7 @@ def random_rooms(
       wall_density: share of the inner cells that are wall in the rooms that aren't empty.
       corridor_share: share of the rooms that are corridors of one cell's width with turns, branches
         and dead ends; they come last.
+      start_jitter: half-width of the uniform offset of a start from the middle of its cell, units.
 
     Returns:
       The rooms; every free cell is a start.
@@ -68,10 +75,15 @@ def random_rooms(
     for index in range(num_rooms - num_corridors, num_rooms):
         # Turned over, as they were drawn when the docs' figures were measured.
         wall[index] = ~perfect.ways(rng, SIZE - 2, SIZE - 2, (0, 0)).T
-    return _rooms(wall, ~wall, num_corridors)
+    return _rooms(wall, ~wall, num_corridors, start_jitter)
 
 
-def _rooms(wall: np.ndarray, start: np.ndarray, num_corridors: int = 0) -> Rooms:
+def _rooms(
+    wall: np.ndarray,
+    start: np.ndarray,
+    num_corridors: int = 0,
+    start_jitter: float = START_JITTER,
+) -> Rooms:
     """Returns rooms [M, R, C], the last ones corridors, without goals, doors or a time limit."""
     num_rooms = len(wall)
     zero = jnp.zeros(num_rooms, jnp.int32)  # episodes here have limits of their own
@@ -80,7 +92,7 @@ def _rooms(wall: np.ndarray, start: np.ndarray, num_corridors: int = 0) -> Rooms
         goal=jnp.zeros(wall.shape, jnp.int32),
         start=jnp.asarray(start),
         door=jnp.zeros(wall.shape, bool),
-        start_jitter=jnp.full(num_rooms, START_JITTER, jnp.float32),
+        start_jitter=jnp.full(num_rooms, start_jitter, jnp.float32),
         num_goals=zero,
         num_decisions=zero,
     )

@@ -61,7 +61,10 @@ class LowTrainer:
         floor = rooms.open_floor()
         if config.num_rooms:
             floor = rooms.random_rooms(
-                config.num_rooms, config.seed, corridor_share=config.corridor_share
+                config.num_rooms,
+                config.seed,
+                corridor_share=config.corridor_share,
+                start_jitter=config.start_jitter,
             )
         make_env = functools.partial(
             locomotion.Locomotion,
