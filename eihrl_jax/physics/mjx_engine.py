@@ -6,16 +6,14 @@ from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 from mujoco import mjx
 
 from eihrl_jax import base
 from eihrl_jax.ops import tree
-from eihrl_jax.physics import controls, engine, scene
+from eihrl_jax.physics import controls, engine, mjx_contacts, mjx_solver, scene
 from eihrl_jax.robots import robot as robot_lib
-
-_SMALLEST_TANGENT = 1e-6
-"""Capsules closer to vertical than this, in radians, keep MJX's contact frame."""
 
 _CHOLESKY_LOCK = threading.RLock()
 """Held while JAX's factorisation is replaced, which all threads see."""
@@ -48,6 +46,10 @@ class MjxEngine:
         except (NotImplementedError, RuntimeError) as error:
             raise base.UserError(f"engine 'mjx' can't run robot {robot.name!r}: {error}") from None
 
+        walls = [self.model.geom(scene.wall_name(index)).id for index in range(robot.num_walls)]
+        self._is_wall = np.isin(np.arange(self.model.ngeom), walls)
+        self._solve = mjx_solver.solve if mjx_solver.is_suited(self.model) else mjx.solve
+
     def step(
         self,
         state: engine.PhysicsState,
@@ -56,15 +58,8 @@ class MjxEngine:
         is_running: Bool[Array, ""] | bool = True,
     ) -> engine.PhysicsState:
         """Advances one control step, see `engine.Engine.step`."""
-        scale = self.robot.units_per_metre
-        mocap_z = self._data.mocap_pos[:, 2:]  # walls move in the plane only
-        data = self._data.replace(
-            qpos=state.qpos.at[:2].divide(scale),  # from units to the model's metres
-            qvel=state.qvel,
-            qacc_warmstart=state.qacc_warmstart,
-            ctrl=self._controls.of(ctrl.astype(jnp.float32)),
-            mocap_pos=jnp.concatenate([walls_xy.astype(jnp.float32) / scale, mocap_z], 1),
-        )
+        data = self._placed(state, walls_xy)
+        data = data.replace(ctrl=self._controls.of(ctrl.astype(jnp.float32)))
 
         with _lenient_promotion(), _safe_cholesky():
             data = jax.lax.fori_loop(
@@ -72,48 +67,47 @@ class MjxEngine:
             )
 
         stepped = engine.PhysicsState(
-            qpos=data.qpos.at[:2].multiply(scale),
+            qpos=data.qpos.at[:2].multiply(self.robot.units_per_metre),
             qvel=data.qvel,
             qacc_warmstart=data.qacc_warmstart,
         )
         return tree.where(jnp.asarray(is_running), stepped, state)
 
+    def num_dropped(
+        self, state: engine.PhysicsState, walls_xy: Float[Array, "num_walls 2"]
+    ) -> Int[Array, ""]:
+        """Returns how many contacts a step from this state leaves out, see `mjx_contacts`."""
+        with _lenient_promotion():
+            data = mjx.kinematics(self._model, self._placed(state, walls_xy))
+            return mjx_contacts.collide(self._model, data, self._is_wall).num_dropped
+
+    def _placed(
+        self, state: engine.PhysicsState, walls_xy: Float[Array, "num_walls 2"]
+    ) -> mjx.Data:
+        """Returns the model's data with robot and walls where they are."""
+        scale = self.robot.units_per_metre
+        mocap_z = self._data.mocap_pos[:, 2:]  # walls move in the plane only
+        return self._data.replace(
+            qpos=state.qpos.at[:2].divide(scale),  # from units to the model's metres
+            qvel=state.qvel,
+            qacc_warmstart=state.qacc_warmstart,
+            mocap_pos=jnp.concatenate([walls_xy.astype(jnp.float32) / scale, mocap_z], 1),
+        )
+
     def _physics_step(self, data: mjx.Data) -> mjx.Data:
-        """Advances one physics step: `mjx.step`, with contact frames as the C engine has them."""
-        data = mjx.fwd_position(self._model, data)
-        data = mjx.make_constraint(self._model, _align_with_capsules(self._model, data))
-        data = mjx.fwd_velocity(self._model, data)
-        data = mjx.fwd_actuation(self._model, data)
-        data = mjx.fwd_acceleration(self._model, data)
-        data = mjx.solve(self._model, data)
-        is_implicit = self._model.opt.integrator == mjx.IntegratorType.IMPLICITFAST
-        return (mjx.implicit if is_implicit else mjx.euler)(self._model, data)
+        """Advances one physics step, as `mjx.step` does, with contacts and solver of our own."""
+        model = self._model
+        for compute in (mjx.kinematics, mjx.com_pos, mjx.tendon, mjx.crb):
+            data = compute(model, data)
+        data = mjx.factor_m(model, mjx.tendon_armature(model, data))
+        data = mjx_contacts.collide(model, data, self._is_wall).data
+        data = mjx.make_constraint(model, data)
+        data = mjx.transmission(model, data)
 
-
-def _align_with_capsules(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """Turns the contact frames between floor and capsules along the capsules.
-
-    The pyramidal friction cone is stiffer along its edges, so that its orientation matters. MJX
-    orients it along the y axis for capsules that are steeper than 60 degrees, the C engine never.
-    """
-    contact = data._impl.contact
-    kinds = jnp.asarray(model.geom_type)[contact.geom]
-    is_capsule_on_floor = (kinds[:, 0] == int(mjx.GeomType.PLANE)) & (
-        kinds[:, 1] == int(mjx.GeomType.CAPSULE)
-    )
-
-    # The capsule's axis without its part along the normal is the first tangent.
-    axis = data.geom_xmat[contact.geom[:, 1], :, 2]
-    normal = contact.frame[:, 0]
-    tangent = axis - (axis * normal).sum(1, keepdims=True) * normal
-    length = jnp.linalg.norm(tangent, axis=1, keepdims=True)
-    tangent = tangent / jnp.maximum(length, _SMALLEST_TANGENT)
-    aligned = jnp.stack([normal, tangent, jnp.cross(normal, tangent)], 1)
-
-    # A capsule that stands upright has no direction on the floor.
-    is_turned = is_capsule_on_floor & (length[:, 0] > _SMALLEST_TANGENT)
-    frame = jnp.where(is_turned[:, None, None], aligned, contact.frame)
-    return data.tree_replace({"_impl.contact.frame": frame})
+        for compute in (mjx.fwd_velocity, mjx.fwd_actuation, mjx.fwd_acceleration, self._solve):
+            data = compute(model, data)
+        is_implicit = model.opt.integrator == mjx.IntegratorType.IMPLICITFAST
+        return (mjx.implicit if is_implicit else mjx.euler)(model, data)
 
 
 @contextlib.contextmanager

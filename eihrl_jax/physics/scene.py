@@ -24,6 +24,12 @@ _UPRIGHT = 0.02
 PARKED_XY = (-1000.0, 1000.0)
 """Where a wall box waits while no wall is near, units."""
 
+MAX_CONTACTS = 12
+"""Contacts of each dimension that get forces in MJX, the deepest ones: the C engine takes all.
+
+Ants, humanoids and Go1s that tumble in a corner have 10 at most in the C engine.
+"""
+
 _RESET_BITS = (
     mujoco.mjtDisableBit.mjDSBL_CONTACT,
     mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
@@ -153,6 +159,10 @@ def _add_surroundings(spec: mujoco.MjSpec, cell: float, num_walls: int) -> None:
         conaffinity=BOTH | FLOOR_ONLY,
         **_CONTACT,
     )
+    # MJX's own name; a file may hold one already.
+    limit = spec.numeric("max_contact_points") or spec.add_numeric(name="max_contact_points")
+    limit.size, limit.data = 1, [MAX_CONTACTS]
+
     half = cell / 2  # MuJoCo's sizes are half sides
     for i in range(num_walls):
         body = spec.worldbody.add_body(name=wall_name(i), mocap=True, pos=[*PARKED_XY, half])
