@@ -20,7 +20,6 @@ ROBOT = robot.Robot(
     servo_range=0.25,
     recovery_range=2.0,  # within the quarter of a radian it doesn't come off its back
     sensors="onboard",
-    anchored=False,  # the shipped low level was trained without, and falls with them
     symmetry=symmetry.Symmetry(mirror_joints=_MIRROR, mirror_controls=_MIRROR),
 )
 """0.02 s per control step, as the robot is driven in Smith et al. 2022, and 4 s per subgoal."""

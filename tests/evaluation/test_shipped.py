@@ -1,11 +1,14 @@
 """What is shipped still does with today's code what its README says."""
 
+import dataclasses
+
+import jax
 import pytest
 
 from eihrl_jax import base, robots
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.evaluation import loading
-from eihrl_jax.physics import scene
+from eihrl_jax.evaluation import loading, standing
+from eihrl_jax.physics import engines, scene
 from eihrl_jax.reporting import evaluations
 from eihrl_jax.runs import policies
 
@@ -22,9 +25,22 @@ def test_low_levels_load(name):
 
 def test_subgoals_are_anchored_where_both_levels_know_them():
     high, other = loading.load_high("best-random-0"), loading.load_high("paper-random-0")
-    ant, go1 = robots.load("ant"), robots.load("go1")
+    ant = robots.load("ant")
     assert high.anchors(ant)
-    assert not high.anchors(go1) and not other.anchors(ant)
+    assert not high.anchors(dataclasses.replace(ant, anchored=False)) and not other.anchors(ant)
+
+
+@pytest.mark.slow
+def test_the_go1_stands_up_again():
+    robot = robots.load("go1")
+    engine = engines.make(robot, "mujoco")
+    shares = {}
+    for stand in (None, "none"):
+        policy = loading.load_low("go1", robot, stand=stand)
+        found = standing.measure(engine, policy, 100, jax.random.key(0))
+        assert found.num_down > 50
+        shares[stand] = found.shares[4]
+    assert shares[None] > 0.9 and shares["none"] < 0.2
 
 
 def test_low_levels_of_a_robot_that_has_changed_since_are_refused(tmp_path):
