@@ -12,7 +12,7 @@ from eihrl_jax.agents import droq, replay
 from eihrl_jax.benchmarks import part, timing
 from eihrl_jax.config import low as low_config
 from eihrl_jax.config import presets
-from eihrl_jax.envs import locomotion, rooms, wrappers
+from eihrl_jax.envs import locomotion, wrappers
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import engines, scene
 from eihrl_jax.training import low_trainer
@@ -110,11 +110,7 @@ def walking_rate(num_steps: int = 100, repeats: int = 5) -> part.Figures:
     config = presets.low_best()
     trainer = low_trainer.LowTrainer(config)
     engine = engines.make(trainer.robot, config.engine)
-    env = wrappers.AutoReset(
-        locomotion.Locomotion(
-            engine, rooms.random_rooms(config.num_rooms, 0), reward_options=config.reward
-        )
-    )
+    env = wrappers.AutoReset(locomotion.Locomotion.of_config(engine, config))
 
     # Ants with the policy, which needs a key per step and ant.
     params = trainer.init(jax.random.key(0)).learner.actor_params

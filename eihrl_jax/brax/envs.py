@@ -10,6 +10,7 @@ Metrics are those of the bare environment, but what each step adds to them: Brax
 episode. All are float32.
 """
 
+import abc
 import dataclasses
 import os
 from typing import Any
@@ -23,7 +24,7 @@ from jaxtyping import Array, Float, Key, UInt32
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.config import low as low_config
 from eihrl_jax.config import presets
-from eihrl_jax.envs import goal_maze, locomotion, low_obs, rooms
+from eihrl_jax.envs import goal_maze, locomotion, low_obs
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
@@ -47,9 +48,9 @@ class RobotEnv(envs.Env):
         self._engine = engine
         self.episode_steps = episode_steps
 
+    @abc.abstractmethod
     def see(self, obs: Any) -> Float[Array, " F"]:
         """Returns an observation of the bare environment as a vector."""
-        raise NotImplementedError
 
     def control(self, action: Float[Array, " nu"], obs: Any) -> Float[Array, " nu"]:
         """Returns the robot's controls of an action, in [-1, 1]."""
@@ -208,25 +209,14 @@ class LocomotionEnv(RobotEnv):
         """Builds the task; compiles nothing yet.
 
         Args:
-          config: what of a training run is the task's: robot, engine, rooms and their seed, input,
-            reward, length of an episode, and whether a fall ends it.
+          config: what of a training run is the task's: robot, engine, input, and all that
+            `Locomotion.of_config` takes.
 
         Raises:
           base.UserError: the robot is unknown or not as it should be.
         """
         built = engines.make(robots.load(config.robot), config.engine)
-        floor = rooms.open_floor()
-        if config.num_rooms:
-            floor = rooms.random_rooms(
-                config.num_rooms, config.seed, corridor_share=config.corridor_share
-            )
-        self.bare = locomotion.Locomotion(
-            built,
-            floor,
-            reward_options=config.reward,
-            episode_steps=config.episode_steps,
-            ends_at_fall=config.ends_at_fall,
-        )
+        self.bare = locomotion.Locomotion.of_config(built, config)
         super().__init__(self.bare, built, config.episode_steps)
         self._low_input = config.low_input
 

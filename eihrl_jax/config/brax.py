@@ -1,5 +1,6 @@
 """Options of Brax's learners, named as their arguments are where nothing else is said."""
 
+import abc
 from typing import Annotated
 
 from eihrl_jax.base import UserError
@@ -8,7 +9,7 @@ from eihrl_jax.config.baselines import BaselineConfig
 
 
 @limits.dataclass
-class BraxConfig(BaselineConfig):
+class BraxConfig(BaselineConfig, abc.ABC):
     """What both learners have.
 
     Attributes:
@@ -26,9 +27,9 @@ class BraxConfig(BaselineConfig):
     reward_scaling: limits.Positive = 1.0
 
     @property
+    @abc.abstractmethod
     def steps_per_round(self) -> int:
         """Control steps of all environments together in a round."""
-        raise NotImplementedError
 
 
 @limits.dataclass

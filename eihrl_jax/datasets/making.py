@@ -6,12 +6,14 @@ from typing import NamedTuple
 import gymnasium
 
 import eihrl_jax.gym
-from eihrl_jax import mazes, robots
+from eihrl_jax import robots
 from eihrl_jax.config.dataset import DatasetConfig
 from eihrl_jax.datasets import episodes
-from eihrl_jax.envs import goal_maze, oracle_maze
+from eihrl_jax.envs import oracle_maze
 from eihrl_jax.evaluation import loading
 from eihrl_jax.gym import places
+from eihrl_jax.gym.envs import SingleEnv
+from eihrl_jax.gym.episodes import Task
 from eihrl_jax.gym.high_level import HighLevelTask
 from eihrl_jax.gym.maze import MazeTask
 
@@ -42,64 +44,52 @@ def make(config: DatasetConfig) -> Made:
 
 def _walking(config: DatasetConfig, high: loading.HighLevel) -> Made:
     """Returns a robot that walks."""
-    options = {
-        "maze": config.maze,
-        "robot": config.robot,
-        "reward": config.reward,
-        "engine": config.engine,
-        "num_decisions": config.num_decisions,
-        "observation": config.observation,
-    }
-    env = gymnasium.make(eihrl_jax.gym.MAZE_ID, **options)
+    env = gymnasium.make(
+        eihrl_jax.gym.MAZE_ID,
+        maze=config.maze,
+        robot=config.robot,
+        reward=config.reward,
+        engine=config.engine,
+        num_decisions=config.num_decisions,
+        observation=config.observation,
+    )
+    task = _task_of(env)
+    assert isinstance(task, MazeTask)
 
-    robot = robots.load(config.robot)
-    engine = places.engine_of(robot, config.engine)
-    maze = mazes.load(config.maze, num_decisions=config.num_decisions)
-    stacked = mazes.stack([maze])
+    stacked = task.maze.stacked()
     levels = loading.full_env(
-        engine,
+        places.engine_of(task.robot, config.engine),
         stacked,
         high.view_in(stacked),
-        loading.load_low(config.low or config.robot, robot),
-        anchored=high.anchors(robot),
+        loading.load_low(config.low or config.robot, task.robot),
+        anchored=high.anchors(task.robot),
         reward=config.reward,
     )
-    task = MazeTask(
-        robot,
-        places.HostMaze.load(config.maze, config.num_decisions),
-        config.reward,
-        config.engine,
-        config.observation,
-    )
-    bare = goal_maze.GoalMaze(engine, maze, reward=config.reward)
-    return Made(episodes.Walking(high, levels, bare, task), env)
+    return Made(episodes.Walking(high, levels, task.environment(), task), env)
 
 
 def _by_oracle(config: DatasetConfig, high: loading.HighLevel) -> Made:
     """Returns a robot that the simulator moves; of a map its high level sees as in training."""
-    robot = robots.load(config.robot)
-    anchored = high.anchors(robot)
     view = dataclasses.asdict(high.view)
-    options = {
-        "maze": config.maze,
-        "robot": config.robot,
-        "movement": "oracle",
-        "reward": config.reward,
-        "num_decisions": config.num_decisions,
-        "anchored": anchored,
+    env = gymnasium.make(
+        eihrl_jax.gym.HIGH_LEVEL_ID,
+        maze=config.maze,
+        robot=config.robot,
+        movement="oracle",
+        reward=config.reward,
+        num_decisions=config.num_decisions,
+        anchored=high.anchors(robots.load(config.robot)),
         **{name: view[name] for name in ("extent", "pixels", "map_radius", "knows")},
-    }
-    env = gymnasium.make(eihrl_jax.gym.HIGH_LEVEL_ID, **options)
-
-    task = HighLevelTask(
-        robot,
-        places.HostMaze.load(config.maze, config.num_decisions),
-        config.reward,
-        "oracle",
-        config.robot,
-        high.view,
-        anchored,
     )
+    task = _task_of(env)
+    assert isinstance(task, HighLevelTask)
+
     bare = task.environment()
     assert isinstance(bare, oracle_maze.OracleMaze)
     return Made(episodes.ByOracle(high, bare, task), env)
+
+
+def _task_of(env: gymnasium.Env) -> Task:
+    """Returns what one of our Gymnasium environments shows."""
+    assert isinstance(env.unwrapped, SingleEnv)
+    return env.unwrapped.task

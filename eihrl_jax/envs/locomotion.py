@@ -87,7 +87,15 @@ class Locomotion:
           thrown_share: share of the episodes that begin with a throw, see `recovery.thrown`.
           anchored: whether subgoals count from the middle of the robot's cell in all rooms, see
             `task.anchor`; in corridors they always do.
+
+        Raises:
+          base.UserError: a robot is to be thrown that can't fall.
         """
+        if thrown_share and engine.robot.root != "free":
+            raise base.UserError(
+                f"thrown_share = {thrown_share} is for robots with root 'free', "
+                f"{engine.robot.name!r} has {engine.robot.root!r}"
+            )
         self.robot = engine.robot
         self._engine = engine
         self._rooms = rooms
@@ -100,6 +108,35 @@ class Locomotion:
         # Known before anything is compiled: without corridors nothing is computed for them.
         self._has_corridors = bool(rooms.is_corridor.any())
         self._start_jitter = float(rooms.mazes.start_jitter.max())
+
+    @classmethod
+    def of_config(cls, engine: engine_lib.Engine, config: low_config.LowConfig) -> "Locomotion":
+        """Returns the task of a training run.
+
+        Args:
+          engine: steps the robot.
+          config: the run's options; without rooms it is on open floor.
+
+        Raises:
+          base.UserError: a robot is to be thrown that can't fall.
+        """
+        floor = rooms_lib.open_floor()
+        if config.num_rooms:
+            floor = rooms_lib.random_rooms(
+                config.num_rooms,
+                config.seed,
+                corridor_share=config.corridor_share,
+                start_jitter=config.start_jitter,
+            )
+        return cls(
+            engine,
+            floor,
+            reward_options=config.reward,
+            episode_steps=config.episode_steps,
+            ends_at_fall=config.ends_at_fall,
+            thrown_share=config.thrown_share,
+            anchored=config.anchored,
+        )
 
     def reset(self, key: Key[Array, ""]) -> EnvState:
         """Draws a room, a start, a posture and a first subgoal."""

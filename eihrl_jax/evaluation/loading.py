@@ -11,14 +11,7 @@ from jaxtyping import Array, Float, Int, Key
 from eihrl_jax import base, mazes
 from eihrl_jax.agents import peg_a2c
 from eihrl_jax.config import evaluate as evaluate_config
-from eihrl_jax.envs import (
-    hierarchy,
-    low_obs,
-    oracle_maze,
-    physics_maze,
-    raster,
-    subgoals,
-)
+from eihrl_jax.envs import hierarchy, low_obs, oracle_maze, physics_maze, raster, subgoals
 from eihrl_jax.evaluation import metas, rollouts
 from eihrl_jax.networks import actor_critic, droq, search
 from eihrl_jax.ops import planning

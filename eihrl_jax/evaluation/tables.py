@@ -10,7 +10,6 @@ import rich.box
 import rich.console
 import rich.measure
 import rich.table
-import rich.text
 
 from eihrl_jax import base
 from eihrl_jax.config import evaluate as evaluate_config
@@ -271,9 +270,8 @@ def terminal(cells: Sequence[results.Cell]) -> list[rich.table.Table]:
 
 def on_terminal(table: Table) -> rich.table.Table:
     """Returns a table for a `rich` console."""
-    # As `Text`: brackets in names of files are no styles.
     shown = rich.table.Table(
-        title=rich.text.Text(base.printable(table.title)),
+        title=base.printable(table.title),
         title_justify="left",
         header_style="bold",
         box=rich.box.SIMPLE_HEAD,
@@ -283,17 +281,18 @@ def on_terminal(table: Table) -> rich.table.Table:
     # Numbers are read from the right, and a row of a group's details steps back.
     for i, name in enumerate(table.header):
         side = "left" if i < table.num_words else "right"
-        shown.add_column(rich.text.Text(base.printable(name)), justify=side, no_wrap=True)
+        shown.add_column(base.printable(name), justify=side, no_wrap=True)
     for row in table.rows:
-        texts = [rich.text.Text(base.printable(text)) for text in row]
-        shown.add_row(*texts, style="dim" if row[0].startswith("  ") else None)
+        style = "dim" if row[0].startswith("  ") else None
+        shown.add_row(*map(base.printable, row), style=style)
     return shown
 
 
 def show(shown: Iterable[rich.table.Table]) -> None:
     """Prints tables, each as wide as it is: nothing is cut where the terminal is narrower."""
     for table in shown:
-        console = rich.console.Console(highlight=False)
+        # Brackets and colons in names of files are neither styles nor pictures.
+        console = rich.console.Console(highlight=False, markup=False, emoji=False)
         options = console.options.update(max_width=_ANY_WIDTH)
         width = rich.measure.Measurement.get(console, options, table).maximum
         console.width = max(console.width, width)

@@ -23,6 +23,9 @@ class SingleEnv(gymnasium.Env[Any, Any]):
 
     A seed draws the first episode, and those after it as long as no other one is given: the same
     as of the bare environment with `jax.random.key(seed)`.
+
+    Attributes:
+      task: what it runs, and how that is shown.
     """
 
     metadata: dict[str, Any] = {"render_modes": [_RENDER_MODE]}  # noqa: RUF012 (as Gymnasium has it)
@@ -33,6 +36,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         Raises:
           base.UserError: the render mode isn't as it should be.
         """
+        self.task = task
         self.render_mode = _checked(render_mode)
         self.metadata = {**self.metadata, "render_fps": task.fps}
         self.observation_space, self.action_space = task.spaces()

@@ -22,7 +22,6 @@ _DTYPES = {1: np.bool_, 4: np.int32, 8: np.uint32, 11: np.float32}
 """XLA_FFI_DataType."""
 
 _METADATA = 1  # XLA_FFI_Extension_Metadata
-_EXECUTE = 3  # XLA_FFI_ExecutionStage_EXECUTE
 _INTERNAL = 13  # XLA_FFI_Error_Code_INTERNAL
 
 _LOCK = threading.Lock()

@@ -52,9 +52,8 @@ def collide(model: mjx.Model, data: mjx.Data, is_wall: np.ndarray) -> Collision:
         geoms = np.array(pairs[key])[:, :2]
         if is_wall[geoms].any() and len(geoms) > MAX_WALL_PAIRS:
             gaps = _gaps(model, data, geoms, is_wall)
-            chosen = jax.lax.top_k(-gaps, MAX_WALL_PAIRS)[1]
-            contact = jax.tree.map(lambda leaf, at=chosen: leaf[at], contact)
-            num_dropped += jnp.maximum((gaps < 0.0).sum() - MAX_WALL_PAIRS, 0)
+            contact, dropped = _nearest(contact, gaps, MAX_WALL_PAIRS)
+            num_dropped += dropped
 
         # A function may return several contacts of each pair.
         first, second = (mjx.GeomType(int(kind)) for kind in key.types)
@@ -69,9 +68,8 @@ def collide(model: mjx.Model, data: mjx.Data, is_wall: np.ndarray) -> Collision:
         contact = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *by_dimension[dimension])
         if len(contact.dist) > scene.MAX_CONTACTS:
             above = contact.dist - contact.includemargin
-            chosen = jax.lax.top_k(-above, scene.MAX_CONTACTS)[1]
-            contact = jax.tree.map(lambda leaf, at=chosen: leaf[at], contact)
-            num_dropped += jnp.maximum((above < 0.0).sum() - scene.MAX_CONTACTS, 0)
+            contact, dropped = _nearest(contact, above, scene.MAX_CONTACTS)
+            num_dropped += dropped
         kept.append(contact)
     if not kept:
         return Collision(data, num_dropped)
@@ -79,6 +77,15 @@ def collide(model: mjx.Model, data: mjx.Data, is_wall: np.ndarray) -> Collision:
     contact = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *kept)
     data = data.tree_replace({"_impl.contact": contact})
     return Collision(_align_with_capsules(model, data), num_dropped)
+
+
+def _nearest(
+    contact: mjx.Contact, gaps: Float[Array, " P"], num: int
+) -> tuple[mjx.Contact, Int[Array, ""]]:
+    """Returns those of some contacts whose gaps are smallest, and how many touching ones aren't."""
+    chosen = jax.lax.top_k(-gaps, num)[1]
+    kept = jax.tree.map(lambda leaf: leaf[chosen], contact)
+    return kept, jnp.maximum((gaps < 0.0).sum() - num, 0)
 
 
 def _gaps(

@@ -117,8 +117,8 @@ def seconds_upright(model: mujoco.MjModel, robot: robot_lib.Robot) -> float:
     if robot.healthy_z is None:
         return AT_REST
     data, low_high = _data(model, robot), robot.healthy_z
+    data.ctrl[:] = controls.of(model, robot).rest
     for step in range(round(AT_REST / robot.control_step)):
-        data.ctrl[:] = controls.of(model, robot).rest
         mujoco.mj_step(model, data, robot.num_substeps)
         if not low_high[0] <= data.qpos[2] <= low_high[1]:
             return step * robot.control_step

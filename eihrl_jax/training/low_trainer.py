@@ -1,5 +1,6 @@
 """What the low level's training computes: it acts, stores, learns, measures (paper, Sec. 3.2)."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -13,7 +14,7 @@ from eihrl_jax import base, robots
 from eihrl_jax.agents import droq, optimisation
 from eihrl_jax.agents import replay as replay_lib
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import experience, locomotion, low_obs, rooms, subgoals, wrappers
+from eihrl_jax.envs import experience, locomotion, low_obs, subgoals, wrappers
 from eihrl_jax.ops import tree
 from eihrl_jax.physics import engines, scene
 from eihrl_jax.runs import progress as progress_lib
@@ -58,24 +59,11 @@ class LowTrainer:
         )
 
         # Statistics are always taken on open floor, whatever the robot learned among.
-        floor = rooms.open_floor()
-        if config.num_rooms:
-            floor = rooms.random_rooms(
-                config.num_rooms,
-                config.seed,
-                corridor_share=config.corridor_share,
-                start_jitter=config.start_jitter,
-            )
-        make_env = functools.partial(
-            locomotion.Locomotion,
-            engine,
-            reward_options=config.reward,
-            episode_steps=config.episode_steps,
-            ends_at_fall=config.ends_at_fall,
-            thrown_share=config.thrown_share,
+        on_open_floor = dataclasses.replace(config, num_rooms=0, anchored=False)
+        self._env, self._test_env = (
+            wrappers.AutoReset(locomotion.Locomotion.of_config(engine, each))
+            for each in (config, on_open_floor)
         )
-        self._env = wrappers.AutoReset(make_env(floor, anchored=config.anchored))
-        self._test_env = wrappers.AutoReset(make_env(rooms.open_floor()))
 
         # Sizes of the networks, without building a single robot.
         obs = jax.eval_shape(self._env.reset, jax.random.key(0)).obs

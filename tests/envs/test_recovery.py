@@ -1,15 +1,18 @@
 """Robots that are down: thrown ones, how upright they are, and who acts for them."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eihrl_jax import robots
+from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
-from eihrl_jax.envs import hierarchy, low_obs, recovery
+from eihrl_jax.config import presets
+from eihrl_jax.envs import hierarchy, locomotion, low_obs, recovery
 from eihrl_jax.physics import engine as engine_lib
-from eihrl_jax.physics import posture, scene
+from eihrl_jax.physics import engines, posture, scene
 
 GO1 = robots.load("go1")
 MODEL = scene.build(GO1)
@@ -39,6 +42,13 @@ def test_a_thrown_robot_is_above_the_floor_and_keeps_its_place():
     np.testing.assert_allclose(jnp.linalg.norm(qpos[:, 3:7], axis=1), 1.0, atol=1e-5)
     up = jax.vmap(lambda each: recovery.uprightness(each, GO1, HEIGHT))(qpos)
     assert up.min() < 0.2 and up.max() > 0.8
+
+
+def test_what_slides_is_not_thrown():
+    config = dataclasses.replace(presets.LOW["stand"], robot="point")
+    engine = engines.make(robots.load("point"), "mujoco")
+    with pytest.raises(base.UserError, match="thrown_share = 1.0 is for robots with root 'free'"):
+        locomotion.Locomotion.of_config(engine, config)
 
 
 @pytest.mark.parametrize(

@@ -156,6 +156,17 @@ def test_damaged_metrics_are_named_and_left_alone(tmp_path):
     assert file.read_text() == damaged
 
 
+def check_refused(tmp_path, message):
+    """Checks that a resume is refused, and touches nothing."""
+    before = snapshot(tmp_path)
+    with (
+        create(tmp_path / "run", resume=True) as run,
+        pytest.raises(base.UserError, match=message),
+    ):
+        run.restore(STATE)
+    assert snapshot(tmp_path) == before
+
+
 @pytest.mark.parametrize("change", [("0.2", "0.3"), ("2,0.2,0.5,\n", ""), ("success", "loss")])
 def test_metrics_that_were_changed_are_named_and_left_alone(tmp_path, change):
     with create(tmp_path / "run") as run:
@@ -165,13 +176,7 @@ def test_metrics_that_were_changed_are_named_and_left_alone(tmp_path, change):
     file = tmp_path / "run" / "metrics.csv"
     whole = file.read_text()
     file.write_text(whole.replace(*change))
-    before = snapshot(tmp_path)
-    with (
-        create(tmp_path / "run", resume=True) as run,
-        pytest.raises(base.UserError, match=r"metrics.csv isn't what the run has logged .* step 3"),
-    ):
-        run.restore(STATE)
-    assert snapshot(tmp_path) == before
+    check_refused(tmp_path, r"metrics.csv isn't what the run has logged .* step 3")
     file.write_text(whole)
     with create(tmp_path / "run", resume=True) as run:
         assert run.restore(STATE)[0] == 3
@@ -190,13 +195,7 @@ def test_a_refused_resume_touches_nothing(tmp_path):
     with create(tmp_path / "run") as run:
         record(run, range(1, 4), save_at=(2,))
     shutil.rmtree(tmp_path / "run" / "checkpoints")
-    before = snapshot(tmp_path)
-    with (
-        create(tmp_path / "run", resume=True) as run,
-        pytest.raises(base.UserError, match=r"checkpoints holds none, .* step 2; put it back"),
-    ):
-        run.restore(STATE)
-    assert snapshot(tmp_path) == before
+    check_refused(tmp_path, r"checkpoints holds none, .* step 2; put it back")
 
 
 @pytest.mark.parametrize("name", [".incomplete-config.json", "metrics.csv", ".lock", "config.json"])
