@@ -120,7 +120,7 @@ class Locomotion:
         Raises:
           base.UserError: a robot is to be thrown that can't fall.
         """
-        floor = rooms_lib.open_floor()
+        floor = rooms_lib.open_floor(start_jitter=config.start_jitter)
         if config.num_rooms:
             floor = rooms_lib.random_rooms(
                 config.num_rooms,

@@ -34,11 +34,16 @@ class Rooms(struct.PyTreeNode):
         return jax.tree.map(lambda leaf: leaf[index], self.mazes)
 
 
-def open_floor(size: int = 41) -> Rooms:
-    """Returns one wide room, its start in the middle, far from any wall."""
+def open_floor(size: int = 41, start_jitter: float = START_JITTER) -> Rooms:
+    """Returns one wide room, its start in the middle, far from any wall.
+
+    Args:
+      size: cells a side.
+      start_jitter: see `random_rooms`.
+    """
     start = np.zeros((size, size), bool)
     start[size // 2, size // 2] = True
-    return _rooms(np.zeros((1, size, size), bool), start[None])
+    return _rooms(np.zeros((1, size, size), bool), start[None], start_jitter=start_jitter)
 
 
 def random_rooms(

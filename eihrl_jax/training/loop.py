@@ -213,6 +213,9 @@ def _train(
 ) -> StateT:
     """Trains from the step `done` to the end, and returns the last state."""
     plan, clock = job.plan, _SaveClock()
+    if done >= plan.num_steps:
+        return state  # Nothing is compiled for a run that only lacks its policy.
+
     # Both before the first step, so that an evaluation that can't be compiled costs no training.
     with progress.compiling("training"):
         advance = job.compile_training(state)

@@ -11,6 +11,7 @@ import pytest
 
 from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
+from eihrl_jax.config import presets
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import experience, locomotion, low_obs, low_reward, rooms, wrappers
 from eihrl_jax.mazes import maze as maze_lib
@@ -47,6 +48,19 @@ def _compiled(engine, ends_at_fall=True, **options):
 @pytest.fixture(scope="module")
 def point_engine():
     return engines.make(POINT, "mujoco")
+
+
+@pytest.mark.parametrize("num_rooms", [0, 4])
+def test_robots_start_as_far_off_the_middle_as_they_are_told(point_engine, num_rooms):
+    config = dataclasses.replace(
+        presets.LOW["point"], num_rooms=num_rooms, start_jitter=0.9, anchored=True
+    )
+    env = locomotion.Locomotion.of_config(point_engine, config)
+    states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 64))
+
+    # The first subgoal counts from the middle of the cell.
+    offset = states.obs.displacement_xy
+    assert 0.75 < jnp.abs(offset).max() <= 0.9 + 1e-4
 
 
 def _obs(displacement_xy, time_left=1.0, direction=0):

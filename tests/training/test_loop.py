@@ -45,6 +45,7 @@ class Job:
     stop_at: tuple[str, int] = ("never", 0)
     calls: list = dataclasses.field(default_factory=list)
     done: int = 0
+    num_compiled: int = 0
     sources: dict = dataclasses.field(default_factory=dict)
 
     @property
@@ -73,6 +74,8 @@ class Job:
         return State(value=jnp.float32(0.0), key=jax.random.key(3))
 
     def compile_training(self, state):
+        self.num_compiled += 1
+
         def advance(state):
             self.done = int(state.value // 10) + 2
             self.note("advance", self.done)
@@ -173,6 +176,7 @@ def test_a_kill_changes_nothing(whole, tmp_path, moment):
     advanced = [done for call, done in job.calls if call == "advance"]
     assert advanced == list(range(saved + 2, 14, 2))
     assert (("begin", 0) in job.calls) == (saved == 0)
+    assert job.num_compiled == (call != "finish")  # nothing where only the policy is missing
 
 
 @pytest.mark.parametrize(
