@@ -171,6 +171,7 @@ def high_best() -> high_config.HighConfig:
         greedy=True,
         log_every=5,
         evaluate_every=10,
+        num_eval_episodes=200,  # on maps of whole mazes, which take longer than training's
         checkpoint_every=50,
     )
 

@@ -13,6 +13,7 @@ Termination: all goals visited, with sparse reward; truncation: the maze's numbe
 Reset: maze, door, start and posture are drawn anew.
 """
 
+import copy
 import dataclasses
 import functools
 import math
@@ -181,6 +182,14 @@ class OracleMaze:
         # Drawn once: a decision looks one up, and needs no kinematics.
         silhouettes = postures.footprints(robot, gait.bank, view)
         return cls(mazes, silhouettes, view=view, movement=movement, reward=reward)
+
+    def covering(self) -> "OracleMaze":
+        """Returns the same with a map of the whole mazes, see `raster.View.covering`."""
+        whole = copy.copy(self)
+        rows, columns = self.table.mazes.wall.shape[-2:]
+        whole.view = self.view.covering(rows, columns)
+        whole.table = task.prepare(self.table.mazes, whole.view.margin)
+        return whole
 
     def reset(
         self,

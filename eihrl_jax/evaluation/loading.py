@@ -13,7 +13,7 @@ from eihrl_jax.agents import peg_a2c
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.envs import hierarchy, low_obs, oracle_maze, physics_maze, raster, subgoals
 from eihrl_jax.evaluation import metas, rollouts
-from eihrl_jax.networks import actor_critic, droq, search
+from eihrl_jax.networks import actor_critic, droq
 from eihrl_jax.ops import planning
 from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import posture, scene
@@ -131,14 +131,10 @@ def load_high(
         params, lambda: network.init(jax.random.key(0), jnp.zeros(view.obs_shape, bool)), path
     )
 
-    # Training has a small map, on which ways are short; here they may be as long as they are.
-    takes_any_map = isinstance(network, search.SearchActorCritic)
-    if takes_any_map:
-        network = network.clone(num_moves=None)
-
     # A pytree of the parameters: policies that differ in them alone share what is compiled.
-    learned = _Learned(network, told.greedy if greedy is None else greedy)
+    learned = _Learned(actor_critic.in_use(network), told.greedy if greedy is None else greedy)
     policy = jax.tree_util.Partial(learned, params)
+    takes_any_map = actor_critic.takes_any_map(network)
     return HighLevel(name, policy, view, movement.anchored, takes_any_map)
 
 

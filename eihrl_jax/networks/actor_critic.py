@@ -17,3 +17,18 @@ def make(options: high.Network) -> nn.Module:
             options.around,
         )
     return patch_actor_critic.PatchActorCritic(options.tile, options.tile_features, options.hidden)
+
+
+def takes_any_map(network: nn.Module) -> bool:
+    """Returns whether the network takes a map of any size, not only of the one in training."""
+    return isinstance(network, search.SearchActorCritic)
+
+
+def in_use(network: nn.Module) -> nn.Module:
+    """Returns the network without what only training is limited by.
+
+    Training has a small map, on which ways are short; elsewhere they may be as long as they are.
+    """
+    if isinstance(network, search.SearchActorCritic):
+        return network.clone(num_moves=None)
+    return network

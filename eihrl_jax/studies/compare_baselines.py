@@ -201,8 +201,8 @@ def _train_ours(options: high_config.HighConfig) -> None:
 def _with_physics(options: high_config.HighConfig) -> hierarchy.Hierarchy:
     """Returns the same task with physics: the robot walks, driven by its shipped low level."""
     task, robot = options.task, robots.load(options.task.robot)
-    # Mazes and view are those of the training, whatever its options are.
-    oracle = high.make_env(task, options.seed)
+    # Mazes and view are those of the training's own evaluation, whatever its options are.
+    oracle = high.in_use(high.make_env(task, options.seed), options)
     low_policy = loading.load_low(task.robot, robot)
     engine = engines.make(robot, "mujoco")  # The comparison is made on processors.
     return loading.full_env(

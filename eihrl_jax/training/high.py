@@ -42,7 +42,7 @@ def train(
 
     Args:
       config: the run's options.
-      with_physics: the same task with physics, where evaluations are made a second time; in
+      with_physics: the task of `in_use` with physics, where evaluations are made a second time; in
         metrics.csv they are called `walking/`, beside `eval/`.
       watch: draws what is new in the run folder.
 
@@ -57,7 +57,9 @@ def train(
     env = make_env(config.task, config.seed)
     agent = make_agent(env, config)
     mesh = parallel.make_mesh(config.num_devices, config.learner.num_workers)
-    evaluated_in = {"eval": env} if with_physics is None else {"eval": env, "walking": with_physics}
+    evaluated_in: dict[str, base.Environment] = {"eval": in_use(env, config)}
+    if with_physics is not None:
+        evaluated_in["walking"] = with_physics
     return loop.run(_Job(config, env, agent, mesh, evaluated_in), config, watch)
 
 
@@ -138,7 +140,8 @@ class _Job(loop.Job[LearnerState]):
         # Whole episodes, also where training cuts them into windows.
         whole = dataclasses.replace(config.learner, window=None)
         limit = int(self.env.table.mazes.num_decisions.max())
-        agent = peg_a2c.PegA2C(env, actor_critic.make(config.network), whole, limit)
+        network = actor_critic.in_use(actor_critic.make(config.network))
+        agent = peg_a2c.PegA2C(env, network, whole, limit)
         stream = jax.random.fold_in(jax.random.key(config.seed), _EVALUATION_STREAM)
 
         def measure(params, num_updates):
@@ -211,6 +214,17 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
         anchored=task.anchored,
         reward=task.reward,
     )
+
+
+def in_use(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> oracle_maze.OracleMaze:
+    """Returns the maze as a finished policy meets it: where it has a map, that of the whole maze.
+
+    Args:
+      env: the maze of `make_env`.
+      config: the run's options.
+    """
+    network = actor_critic.make(config.network)
+    return env.covering() if actor_critic.takes_any_map(network) else env
 
 
 def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> peg_a2c.PegA2C:

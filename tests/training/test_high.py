@@ -207,3 +207,16 @@ def test_best_finds_the_goal_of_u_in_half_a_minute(tmp_path):
     high.train(dataclasses.replace(preset, task=task, learner=learner, run=run))
     last = (run / "metrics.csv").read_text().splitlines()[-1].split(",")
     assert float(last[3]) > 0.9
+
+
+def test_evaluations_see_the_whole_maze_as_a_finished_policy_does(tmp_path):
+    # From a dead end, the map that training has doesn't reach the way that wasn't taken.
+    corridor = tmp_path / "corridor.txt"
+    corridor.write_text("decisions 60\n#############\n#G....S....G#\n#############\n")
+    task = high_config.Task(maze=str(corridor), robot="point", map_radius=2, sigma=0.0)
+    network = high_config.Network(kind="search", num_iterations=4, look_ahead=2, tile_features=2)
+    config = tiny(tmp_path / "run", greedy=True, num_eval_episodes=8, evaluate_every=2)
+    learner = dataclasses.replace(config.learner, num_updates=2)
+    high.train(dataclasses.replace(config, task=task, network=network, learner=learner))
+    row = (tmp_path / "run" / "metrics.csv").read_text().splitlines()
+    assert float(dict(zip(*(line.split(",") for line in row), strict=True))["eval/success"]) == 1.0
