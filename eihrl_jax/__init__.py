@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from eihrl_jax.reporting.trainers import train_low as train_low
     from eihrl_jax.robots import load as load_robot
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _PLACES = {
     "EvaluateConfig": "config.evaluate.EvaluateConfig",

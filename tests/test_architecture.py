@@ -1,6 +1,6 @@
 """The rules about who imports whom, and about sizes, hold in every file; sources are only parsed.
 
-A file that breaks one is named with its line. The layers and their reasons are told in the README.
+A file that breaks one is named with its line. CONTRIBUTING tells the layers.
 """
 
 import ast

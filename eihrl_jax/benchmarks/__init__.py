@@ -1,1 +1,1 @@
-"""What the README's figures are measured with, one module per subject."""
+"""What the figures of docs/benchmarks.md are measured with, one module per subject."""

@@ -1,4 +1,4 @@
-"""Measures what the README claims: `python -m experiments.benchmark --out runs/benchmark`."""
+"""Measures docs/benchmarks.md: `python -m experiments.benchmark --out runs/benchmark`."""
 
 import json
 import pathlib
