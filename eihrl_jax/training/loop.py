@@ -42,6 +42,9 @@ Watch = Callable[[pathlib.Path], object]
 SECONDS_BETWEEN_SAVES = 20.0
 """Checkpoints are no rarer than this, unless saving would take more than `_SAVING_SHARE`."""
 
+_MAY_ALWAYS_CHANGE = ("evaluate_every", "checkpoint_every")
+"""Options that may differ when a run goes on: what is trained depends on none of them."""
+
 _PIECES_TIMED = 3
 """Compiled pieces of training after which it is told how long all will take."""
 
@@ -60,7 +63,8 @@ class Plan:
       evaluate_every: steps between evaluations, a multiple of `log_every`.
       checkpoint_every: steps between checkpoints, a multiple of `log_every`.
       length_option: the option by which `num_steps` is known to the user.
-      may_change: options that may differ when a run goes on.
+      may_change: options that may differ when a run goes on, besides the intervals of evaluations
+        and checkpoints.
       shown: metrics that are shown while the run goes on, with the names under which they are.
       unit: what is counted then.
       units_per_step: how many of it a step has.
@@ -172,7 +176,7 @@ def run(job: Job[StateT], config: Options, watch: Watch | None = None) -> float:
         config.run,
         config,
         resume=config.resume,
-        may_change=plan.may_change,
+        may_change=(*plan.may_change, *_MAY_ALWAYS_CHANGE),
         sources=job.sources,
     ) as folder:
         # Resume: the last checkpoint takes the place of the first state, later rows are dropped.

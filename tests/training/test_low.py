@@ -78,13 +78,13 @@ def test_resuming_changes_nothing(trainer, whole_run, tmp_path):
 def test_starting_from_another_run_goes_on_learning(trainer, whole_run, tmp_path):
     """Under another reward: the learner's count and its replay go on, the iterations begin anew.
 
-    Once begun, the run goes on without the other.
+    Once begun, the run goes on without the other, and with other intervals.
     """
     start = shutil.copytree(whole_run.run, tmp_path / "start")
     config = _config(tmp_path / "second", start_from=start, num_iterations=6)
     low.train_with(trainer, config)
     shutil.rmtree(start)
-    config = dataclasses.replace(config, num_iterations=12, resume=True)
+    config = dataclasses.replace(config, num_iterations=12, checkpoint_every=3, resume=True)
     low.train_with(trainer, config)
     template = jax.eval_shape(trainer.init, jax.random.key(0))
     step, state = checkpoint.restore(config.run / "checkpoints", template)
