@@ -119,6 +119,8 @@ def build(robot: robot_lib.Robot, cell: float | None = None) -> mujoco.MjModel:
             warnings.simplefilter("ignore")  # of what is deprecated in a file of somebody else's
             model = spec.compile()
 
+        if adapted.mass is not None:
+            stock.set_mass(model, adapted.mass)
         _check_numbers(model)
         posture.set_start(model, robot, adapted.has_keyframe)
         if robot.root != "free" and not adapted.is_ours:

@@ -5,6 +5,7 @@ physics. Left out are the file's own world: floor, lights, cameras, sensors, oth
 """
 
 import dataclasses
+import warnings
 
 import mujoco
 
@@ -24,10 +25,12 @@ class Adapted:
     Attributes:
       is_ours: the file says in `contype` whether floor or walls are met, see `docs/robots.md`.
       has_keyframe: the model's keyframe is one of the file's.
+      mass: kilograms that all of the robot has to have; None: what its parts have.
     """
 
     is_ours: bool
     has_keyframe: bool
+    mass: float | None
 
 
 def adapt(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> Adapted:
@@ -41,6 +44,7 @@ def adapt(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> Adapted:
       ValueError: there is no robot in it, or the description doesn't fit; in one line.
     """
     root = torso(spec)
+    mass = _told_mass(spec)
     own = [geom for body in (root, *root.find_all("body")) for geom in body.geoms]
     is_ours = not spec.pairs and all(
         geom.conaffinity == 0 and geom.contype in (0, *_KINDS) for geom in own
@@ -67,7 +71,7 @@ def adapt(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> Adapted:
         if actuator.dyntype in _FILTERS:
             actuator.dyntype = mujoco.mjtDyn.mjDYN_NONE
             actuator.actdim = -1
-    return Adapted(is_ours, has_keyframe)
+    return Adapted(is_ours, has_keyframe, mass)
 
 
 def torso(spec: mujoco.MjSpec) -> mujoco.MjsBody:
@@ -83,6 +87,36 @@ def torso(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     if not largest.find_all("geom"):
         raise ValueError("it has no geom that could be seen or touch anything")
     return largest
+
+
+def set_mass(model: mujoco.MjModel, mass: float) -> None:
+    """Scales a compiled robot to so many kilograms; walls keep theirs.
+
+    Args:
+      model: a robot's scene; changed in place.
+      mass: of all of the robot.
+    """
+    is_robot = model.body_mocapid < 0
+    scale = mass / model.body_mass[is_robot].sum()
+    model.body_mass[is_robot] *= scale
+    model.body_inertia[is_robot] *= scale
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def _told_mass(spec: mujoco.MjSpec) -> float | None:
+    """Takes a total mass out of the spec, and returns the robot's part of it.
+
+    MuJoCo would share it out again, to the walls as well, which weigh more than any robot.
+    """
+    if spec.compiler.settotalmass <= 0.0:
+        return None
+
+    as_it_is = spec.copy()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # The option is deprecated, and the file somebody else's.
+        model = as_it_is.compile()
+    spec.compiler.settotalmass = -1.0
+    return float(model.body_subtreemass[torso(as_it_is).id])
 
 
 def _collide(own: list[mujoco.MjsGeom], spec: mujoco.MjSpec, robot: robot_lib.Robot) -> None:

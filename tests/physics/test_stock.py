@@ -246,3 +246,19 @@ def test_names_are_the_files_own(tmp_path, name):
     robot.mjcf.write_text(robot.mjcf.read_text().replace('"leg_0"', f'"{name}"'))
     model = scene.build(robot)
     assert model.body(name).mocapid[0] < 0 and model.geom(name).contype[0] == stock.BOTH
+
+
+def test_a_total_mass_is_the_files_own_and_walls_have_no_part_in_it(tmp_path):
+    robot = _table(tmp_path)
+    text = robot.mjcf.read_text().replace("<option", '<compiler settotalmass="70"/><option', 1)
+    robot.mjcf.write_text(text)
+    # As its file has it, in a world with a fence and a ball.
+    whole = mujoco.MjModel.from_xml_path(str(robot.mjcf))
+
+    model = scene.build(robot)
+    for name in ("plate", "leg_0"):
+        ours, theirs = (one.body(name) for one in (model, whole))
+        np.testing.assert_allclose(ours.mass, theirs.mass, rtol=1e-9)
+        np.testing.assert_allclose(ours.inertia, theirs.inertia, rtol=1e-9)
+        np.testing.assert_allclose(ours.invweight0, theirs.invweight0, rtol=1e-6)
+    assert model.body("plate").subtreemass[0] < 60.0  # The ball has the rest.
