@@ -18,6 +18,8 @@ from eihrl_jax.robots import robot as robot_lib
 _CHOLESKY_LOCK = threading.RLock()
 """Held while JAX's factorisation is replaced, which all threads see."""
 
+_VELOCITY = 2  # the parameter of an actuator that multiplies its velocity
+
 
 class MjxEngine:
     """`engine.Engine` as a JAX program; contacts of every geom are computed in every step.
@@ -106,8 +108,27 @@ class MjxEngine:
 
         for compute in (mjx.fwd_velocity, mjx.fwd_actuation, mjx.fwd_acceleration, self._solve):
             data = compute(model, data)
-        is_implicit = model.opt.integrator == mjx.IntegratorType.IMPLICITFAST
-        return (mjx.implicit if is_implicit else mjx.euler)(model, data)
+        if model.opt.integrator != mjx.IntegratorType.IMPLICITFAST:
+            return mjx.euler(model, data)
+        return mjx.implicit(_without_spent_damping(model, data), data)
+
+
+def _without_spent_damping(model: mjx.Model, data: mjx.Data) -> mjx.Model:
+    """Returns the model without the damping of actuators that are at the limit of their force.
+
+    Their force doesn't change with velocity, which the C engine knows when it integrates and MJX
+    doesn't: a Go1's hip, thrown to and fro, was 0.013 rad off after one control step.
+    """
+    low, high = model.actuator_forcerange.T
+    is_spent = (data.actuator_force <= low) | (data.actuator_force >= high)
+    is_spent &= jnp.asarray(model.actuator_forcelimited, bool)
+
+    def left(parameters: Array) -> Array:
+        return parameters.at[:, _VELOCITY].multiply(jnp.where(is_spent, 0.0, 1.0))
+
+    return model.replace(
+        actuator_gainprm=left(model.actuator_gainprm), actuator_biasprm=left(model.actuator_biasprm)
+    )
 
 
 @contextlib.contextmanager
