@@ -10,7 +10,7 @@ SOURCES := eihrl_jax experiments notebooks tests typings
 PYTHONS := python3.11 python3
 
 .DEFAULT_GOAL := help
-.PHONY: help install docs demo test test-slow fuzz lint typecheck format lock clean
+.PHONY: help install docs demo test test-slow fuzz soak lint typecheck format lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -29,6 +29,9 @@ test-slow: $(READY) ## run the tests that take minutes
 
 fuzz: $(READY) ## try thousands of odd mazes, maps, robots, options and policies, about an hour
 	FUZZ=1 $(BIN)/python -m pytest -n 0 -rA -q tests/test_properties.py $(ARGS)
+
+soak: $(READY) ## train, evaluate and step environments for an hour; memory must not grow
+	$(BIN)/python -m experiments.soak $(ARGS)
 
 lint: $(READY) ## check style
 	$(BIN)/ruff format --check $(SOURCES)

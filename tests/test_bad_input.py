@@ -185,7 +185,7 @@ def test_mistake_is_told_in_one_line(line, words, place, monkeypatch, capsys):
             "evaluate",
             "benchmark",
         ),
-        *("kill_resume", "train_policies", "ablate_high", "ablate_low", "small_maze", "report"),
+        *("faults", "train_policies", "ablate_high", "ablate_low", "small_maze", "report"),
     ],
 )
 def test_help_names_options_and_defaults(module, monkeypatch, capsys):

@@ -273,11 +273,18 @@ def reproduce_higl() -> Command:
     return Command(reproduction.main, reproduction.ReproduceConfig)
 
 
-def kill_resume() -> Command:
-    """Kills a trainer at random moments, resumes it and compares the results bit for bit."""
-    from eihrl_jax.studies import kill_resume as killing
+def faults() -> Command:
+    """Kills and otherwise disturbs runs, goes on with them and compares bit for bit."""
+    from eihrl_jax.studies import faults as faults_lib
 
-    return Command(killing.main, killing.KillConfig)
+    return Command(lambda options: faults_lib.main(options, main), faults_lib.FaultsConfig)
+
+
+def soak() -> Command:
+    """Trains, evaluates and steps environments for an hour, and watches memory."""
+    from eihrl_jax.studies import soak as soak_lib
+
+    return Command(soak_lib.main, soak_lib.SoakConfig)
 
 
 COMMANDS: dict[str, Make] = {
@@ -305,7 +312,8 @@ COMMANDS: dict[str, Make] = {
         small_maze,
         reproduce_droq,
         reproduce_higl,
-        kill_resume,
+        faults,
+        soak,
     )
 }
 """By name; `eihrl` writes a hyphen for an underscore."""

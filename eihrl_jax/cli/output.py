@@ -4,11 +4,15 @@ import codecs
 import functools
 import io
 import os
+import signal
 import sys
 from collections.abc import Callable
 from typing import ParamSpec
 
 P = ParamSpec("P")
+
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit code after Ctrl-C, as shells have it."""
 
 
 class _Output(io.TextIOWrapper):
@@ -55,6 +59,15 @@ def outlives_its_reader(call: Callable[P, None]) -> Callable[P, None]:
         )
         try:
             call(*args, **kwargs)
+        except (KeyboardInterrupt, SystemExit) as end:
+            is_interrupt = isinstance(end, KeyboardInterrupt)  # while a command is still imported
+            if not is_interrupt and end.code != INTERRUPTED:
+                raise
+            # Nothing is left to stop: another one would only be a traceback of Python's own end.
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            if is_interrupt:
+                print("interrupted", file=sys.stderr)
+            sys.exit(INTERRUPTED)
         finally:
             output.flush()
             if isinstance(output.end, BrokenPipeError):

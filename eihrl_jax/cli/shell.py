@@ -23,6 +23,7 @@ import tyro
 
 from eihrl_jax import base
 from eihrl_jax.cli import command as command_lib
+from eihrl_jax.cli import output
 from eihrl_jax.training import parallel
 
 ConfigT = TypeVar("ConfigT")
@@ -60,7 +61,7 @@ def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None
         fail(f"{place}{error.strerror}")
     except KeyboardInterrupt as stop:
         print(_farewell(stop, command, argv, program), file=sys.stderr)
-        sys.exit(130)  # 128 + SIGINT, as shells have it
+        sys.exit(output.INTERRUPTED)
 
 
 def _farewell(

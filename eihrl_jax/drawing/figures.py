@@ -53,10 +53,16 @@ def save(figure: matplotlib.figure.Figure, path: pathlib.Path) -> None:
         backend_agg.FigureCanvasAgg(figure).print_png(file)
 
 
-def attempt(path: pathlib.Path, draw: Callable[[], object]) -> None:
-    """Draws a picture, or says in one line why there is none: numbers don't depend on it."""
+def attempt(path: pathlib.Path, draw: Callable[[], object]) -> bool:
+    """Draws a picture, or says in one line why there is none: numbers don't depend on it.
+
+    Returns:
+      Whether it has been drawn.
+    """
     try:
         draw()
     except Exception as error:  # whatever it is: memory, a full disk, a font
         reason = base.printable(f"{error or type(error).__name__}".partition("\n")[0])
         print(f"warning: {path} couldn't be drawn: {reason}", file=sys.stderr)
+        return False
+    return True

@@ -6,6 +6,7 @@ null.
 
 import collections
 import dataclasses
+import hashlib
 import json
 import pathlib
 import re
@@ -24,6 +25,8 @@ from eihrl_jax.storage import reading, writing
 FORMAT = 2
 """Of `eval.json`. Files of format 1, which call agents systems and uniform directions random, are
 read too."""
+
+_NO_CHECKSUM = '"checksum": null'
 
 _MAX_NAME = 100
 """Bytes of an agent's or a maze's part of a file's name; a whole name has 255 at most."""
@@ -153,11 +156,13 @@ class Evaluation:
 
     Attributes:
       format: of the file, `FORMAT`.
+      checksum: SHA-256 of the file with null in its place; None in files from before there was one.
       about: how it was made, plain JSON.
       cells: the results.
     """
 
     format: int = FORMAT
+    checksum: str | None = None
     about: Any = None
     cells: tuple[Cell, ...]
 
@@ -195,15 +200,16 @@ def summarise(
 
 
 def save(path: pathlib.Path, evaluation: Evaluation) -> None:
-    """Writes `eval.json`."""
-    writing.write_text(path, codec.to_json(evaluation))
+    """Writes `eval.json`, with its checksum."""
+    text = codec.to_json(dataclasses.replace(evaluation, checksum=None))
+    writing.write_text(path, text.replace(_NO_CHECKSUM, f'"checksum": "{_sha256(text)}"', 1))
 
 
 def load(path: pathlib.Path) -> Evaluation:
     """Reads an `eval.json`.
 
     Raises:
-      base.UserError: the file can't be read or is no `eval.json` of a known format.
+      base.UserError: the file can't be read, is damaged or is no `eval.json` of a known format.
     """
     try:
         text = reading.read_text(path)
@@ -217,7 +223,16 @@ def load(path: pathlib.Path) -> Evaluation:
     # Another format may have the same fields and mean something else by them.
     if evaluation.format != FORMAT:
         raise base.UserError(f"{path}: eval.json has format {evaluation.format}, expected {FORMAT}")
-    return evaluation
+    # Of the text: another version may write the same numbers in another way.
+    checksum = evaluation.checksum
+    without = text.replace(f'"checksum": "{checksum}"', _NO_CHECKSUM, 1)
+    if checksum is not None and checksum != _sha256(without):
+        raise base.UserError(f"{path} is damaged: it isn't as it was written")
+    return dataclasses.replace(evaluation, checksum=None)
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "backslashreplace")).hexdigest()
 
 
 def _updated(text: str) -> str:

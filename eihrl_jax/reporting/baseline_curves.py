@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eihrl_jax import base, mazes, robots
-from eihrl_jax.drawing import curves
+from eihrl_jax.drawing import curves, figures
 from eihrl_jax.evaluation import paper, results, tables
 from eihrl_jax.reporting import cached_runs, page
 
@@ -243,7 +243,8 @@ def _pictures(
 
         label, scale, _ = _UNITS[y]
         path = out / f"baselines-{task.name}-{y}-{axis.replace(' ', '-')}.png"
-        curves.save_spread(
+        draw = functools.partial(
+            curves.save_spread,
             path,
             drawn,
             x_label=f"{axis} (budget: {budget})",
@@ -252,8 +253,10 @@ def _pictures(
             has_log_x=True,
             labels=_STYLES,
         )
-        text = f"{task.maze}, {task.reward} reward: {y} against {axis}, mean and range over seeds."
-        pictures.append(page.Picture(path, text))
+        if figures.attempt(path, draw):
+            how = "mean and range over seeds"
+            text = f"{task.maze}, {task.reward} reward: {y} against {axis}, {how}."
+            pictures.append(page.Picture(path, text))
     return pictures
 
 

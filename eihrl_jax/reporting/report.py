@@ -16,23 +16,28 @@ def main(config: report_config.ReportConfig) -> None:
     """Evaluates what is missing, then writes the page.
 
     Raises:
-      base.UserError: there is nothing to show.
+      base.UserError: there is nothing to show, or another process is writing to the folder.
     """
     _check_places(config)
+    with folders.locked(config.out):
+        _write(config)
+
+
+def _write(config: report_config.ReportConfig) -> None:
+    """Evaluates what is missing in a folder that is ours alone, then writes the page."""
     runs = sections.Runs(config)
     made = [sections.PARTS[part](runs) for part in config.parts]
     shown = [section for section in made if section.tables or section.pictures]
     if not shown:
         # Two parts need a folder of runs, which has no default.
         needs = (("baselines", config.baselines), ("ablations", config.ablations))
-        for part, folders in needs:
-            if config.parts == (part,) and not folders:
+        for part, folder in needs:
+            if config.parts == (part,) and not folder:
                 raise base.UserError(f"parts = {part} needs --{part}, a folder of runs")
         if config.parts == ("own",):
             raise base.UserError("parts = own needs --high, runs or names of policies")
         raise base.UserError(f"policies = {runs.folder} holds no <preset>-<maze>-<seed>")
 
-    config.out.mkdir(parents=True, exist_ok=True)
     title, parts = "Zero-shot navigation", [*shown, _about(config)]
     page.write(config.out / "report.html", title, comparison.NOTE, parts)
     writing.write_text(config.out / "tables.md", page.markdown(shown))

@@ -1,6 +1,7 @@
 """The parts of `experiments.report`: which evaluations each needs, and what it shows of them."""
 
 import dataclasses
+import functools
 import itertools
 import pathlib
 import re
@@ -10,7 +11,7 @@ from eihrl_jax import base
 from eihrl_jax.config import changes
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import report as report_config
-from eihrl_jax.drawing import curves
+from eihrl_jax.drawing import curves, figures
 from eihrl_jax.evaluation import paper, results, tables
 from eihrl_jax.mazes import generators
 from eihrl_jax.reporting import baseline_curves, cached_runs, comparison, page
@@ -279,9 +280,15 @@ def learning(runs: Runs) -> page.Section:
         if drawn:
             runs.options.out.mkdir(parents=True, exist_ok=True)
             path = runs.options.out / f"learning-{maze}-{kind.replace(', ', '-')}.png"
-            curves.save_spread(path, drawn, x_label="decisions", y_label=label, y_scale=scale)
-            caption = f"{maze}, {kind} reward: mean and range over seeds while training."
-            pictures.append(page.Picture(path, caption))
+            draw = functools.partial(
+                *(curves.save_spread, path, drawn),
+                x_label="decisions",
+                y_label=label,
+                y_scale=scale,
+            )
+            if figures.attempt(path, draw):
+                caption = f"{maze}, {kind} reward: mean and range over seeds while training."
+                pictures.append(page.Picture(path, caption))
     return page.Section(
         title="Learning (Figures 5 and 6)",
         text="With dense reward, who has reached the last goal is paid 1 for each decision left.",

@@ -31,18 +31,32 @@ def reserved(out: pathlib.Path, task: str = "") -> Iterator[None]:
       base.UserError: `out` is a file, or a folder with something in it, or being filled.
     """
     _check_empty(out, task)
-    out.mkdir(parents=True, exist_ok=True)
-    lock = take_lock(out)
-
-    try:
+    with locked(out):
         _check_empty(out, task)  # another may have filled it since
         if task:
             writing.write_text(out / UNFINISHED, task)
-        yield
-        (out / UNFINISHED).unlink(missing_ok=True)
-    finally:
-        if not holds_something(out):
+        try:
+            yield
             (out / UNFINISHED).unlink(missing_ok=True)
+        finally:
+            if not holds_something(out):
+                (out / UNFINISHED).unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def locked(out: pathlib.Path) -> Iterator[None]:
+    """Makes a folder if there is none, and keeps other processes out of it.
+
+    A folder that is empty at the end is removed.
+
+    Raises:
+      base.UserError: another process is writing to it.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    lock = take_lock(out)
+    try:
+        yield
+    finally:
         # Unlinked while it is still locked, or another's new lock could be the one removed.
         (out / LOCK).unlink()
         os.close(lock)

@@ -7,7 +7,7 @@ from eihrl_jax import base
 from eihrl_jax.config import changes, checks, limits, presets
 from eihrl_jax.config import evaluate as evaluate_config
 from eihrl_jax.config import high as high_config
-from eihrl_jax.drawing import curves
+from eihrl_jax.drawing import curves, figures
 from eihrl_jax.evaluation import paper, tables
 from eihrl_jax.mazes import suites
 from eihrl_jax.reporting import cached_runs, comparison
@@ -109,16 +109,17 @@ def main(config: AblationConfig) -> None:
 def compare(config: AblationConfig) -> str:
     """Draws the learning curves of finished runs, and returns the table of what was evaluated."""
     runs = _runs(config)
-    curves.save_spread(
-        config.out / "curves.png",
-        {
-            variant: [curves.read(file, "step", "eval/success") for file in files]
-            for variant, files in runs.finished().items()
-        },
-        x_label="updates",
-        y_label="success while training, %",
-        y_scale=100.0,
-    )
+    drawn = {
+        variant: [curves.read(file, "step", "eval/success") for file in files]
+        for variant, files in runs.finished().items()
+    }
+    path = config.out / "curves.png"
+    y_label = "success while training, %"
+
+    def draw() -> None:
+        curves.save_spread(path, drawn, x_label="updates", y_label=y_label, y_scale=100.0)
+
+    figures.attempt(path, draw)
 
     # Also variants of earlier calls: the folder is the comparison.
     evaluations = {

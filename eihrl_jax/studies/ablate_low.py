@@ -10,7 +10,7 @@ from jaxtyping import Float
 from eihrl_jax import base
 from eihrl_jax.config import changes, checks, limits, presets
 from eihrl_jax.config import low as low_config
-from eihrl_jax.drawing import curves
+from eihrl_jax.drawing import curves, figures
 from eihrl_jax.evaluation import tables
 from eihrl_jax.storage import writing
 from eihrl_jax.studies import ablation
@@ -78,12 +78,13 @@ def compare(config: AblationConfig) -> str:
     """Draws the learning curves of finished runs, and returns the table of their ends."""
     finished = _runs(config).finished()
     drawn = {variant: [error_curve(file) for file in files] for variant, files in finished.items()}
-    curves.save_spread(
-        config.out / "curves.png",
-        drawn,
-        x_label="critic updates",
-        y_label="distance from one cell ahead, root mean square, units",
-    )
+    path = config.out / "curves.png"
+    y_label = "distance from one cell ahead, root mean square, units"
+
+    def draw() -> None:
+        curves.save_spread(path, drawn, x_label="critic updates", y_label=y_label)
+
+    figures.attempt(path, draw)
 
     header = ["changed", "runs", "distance", "along", "std", "sideways std", "falls per 1,000"]
     rows = []

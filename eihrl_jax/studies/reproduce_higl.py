@@ -76,4 +76,4 @@ def main(config: ReproduceConfig) -> None:
     arena = baselines.Arena(title, test_env, env.side_xy, learner, u_maze.EPISODE_STEPS)
     baselines.train_in(arena, options)
 
-    learning_curve.draw(config.run)
+    learning_curve.renew(config.run)

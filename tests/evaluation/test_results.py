@@ -94,6 +94,14 @@ def test_other_files_are_refused(tmp_path, text):
         results.load(path)
 
 
+def test_other_numbers_than_those_that_were_written_are_refused(tmp_path):
+    path = tmp_path / "eval.json"
+    results.save(path, results.Evaluation(cells=(cell(),)))
+    path.write_text(path.read_text().replace("0.6", "0.7"))
+    with pytest.raises(base.UserError, match=r"eval\.json is damaged"):
+        results.load(path)
+
+
 def test_table1_stands_beside_the_papers_figures():
     oracle = dataclasses.replace(ANT, movement="oracle", low=None)
     text = tables.markdown([cell("g1"), cell("g3", oracle), cell("mine")])
