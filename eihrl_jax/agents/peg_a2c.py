@@ -5,6 +5,9 @@ each worker's decisions. A gradient of a mean is the mean of the gradients, so a
 backward pass over all of its workers, and `pmean` averages over devices. Every random number comes
 from the stream of its worker, which is derived from the worker's global index: how workers are
 spread over devices changes nothing but rounding.
+
+A network may come in two halves, `look` and `judge`: what is looked at while acting is then kept,
+and learning, with the parameters that acted, only judges it again.
 """
 
 import dataclasses
@@ -24,6 +27,9 @@ from eihrl_jax.ops import losses, returns, tree
 
 Obs: TypeAlias = PyTree[Array]
 """What a policy sees, whatever the environment shows."""
+
+Evidence: TypeAlias = PyTree[Array]
+"""What the network's first half makes of an observation; of a network without halves, that."""
 
 Counts: TypeAlias = dict[str, Float[Array, ""]]
 """Numbers of decisions and episodes, and sums of what the environment measures."""
@@ -56,7 +62,7 @@ class Decision(struct.PyTreeNode):
     """One decision of a worker, or with a leading axis T a worker's decisions.
 
     Attributes:
-      obs: what the policy saw.
+      evidence: what the policy made of what it saw.
       action: index of the subgoal.
       value: V(obs) of the acting parameters.
       reward: unitless.
@@ -66,7 +72,7 @@ class Decision(struct.PyTreeNode):
       metrics: what the environment measures.
     """
 
-    obs: Obs
+    evidence: Evidence
     action: Int[Array, ""]
     value: Float[Array, ""]
     reward: Float[Array, ""]
@@ -80,14 +86,14 @@ class Batch(struct.PyTreeNode):
     """What a worker learns from: its T decisions and what followed them.
 
     Attributes:
-      obs: what the policy saw.
+      evidence: what the policy made of what it saw.
       action: index of the subgoal.
       return_: return from the decision on, R_j in the paper.
       advantage: return_ - V(obs) of the acting parameters.
       weight: 1 / t_i for the t_i decisions that count, 0 for the others; sums to 1.
     """
 
-    obs: Obs
+    evidence: Evidence
     action: Int[Array, " T"]
     return_: Float[Array, " T"]
     advantage: Float[Array, " T"]
@@ -199,10 +205,10 @@ class PegA2C:
 
         env_state, cut_obs, decisions = self._decide(params, env_state, key)
         # A window may end amid an episode, of which the value stands for the rest.
-        _, end_value = self._forward(params, env_state.obs)
+        _, end_value = self._judge(params, self._look(params, env_state.obs))
         cut_value = jnp.float32(0.0)
         if self.learner.looks_beyond_limit:
-            _, cut_value = self._forward(params, cut_obs)
+            _, cut_value = self._judge(params, self._look(params, cut_obs))
         return env_state, self._batch(decisions, end_value, cut_value), _counts(decisions)
 
     def collect_episode(
@@ -281,12 +287,13 @@ class PegA2C:
 
         def decide(carry, step_key):
             env_state, is_running, cut_obs = carry
-            logits, value = self._forward(params, env_state.obs)
+            evidence = self._look(params, env_state.obs)
+            logits, value = self._judge(params, evidence)
             drawn = logits.argmax() if greedy else jax.random.categorical(step_key, logits)
             action = drawn.astype(jnp.int32)
             following = self.env.step(env_state, action)
             decision = Decision(
-                obs=env_state.obs,
+                evidence=evidence,
                 action=action,
                 value=value,
                 reward=following.reward,
@@ -310,13 +317,22 @@ class PegA2C:
         )
         return env_state, cut_obs, decisions
 
-    def _forward(self, params: base.Params, obs: Obs) -> tuple[Float[Array, "4"], Float[Array, ""]]:
-        """Returns the logits of the subgoals and the value of an observation."""
-        return cast(tuple[Array, Array], self.network.apply(params, obs))
+    def _look(self, params: base.Params, obs: Obs) -> Evidence:
+        """Returns what the network's first half makes of an observation."""
+        if not hasattr(self.network, "look"):
+            return obs
+        return cast(Evidence, self.network.apply(params, obs, method="look"))
+
+    def _judge(
+        self, params: base.Params, evidence: Evidence
+    ) -> tuple[Float[Array, "4"], Float[Array, ""]]:
+        """Returns the logits of the subgoals and the value of what `_look` returned."""
+        method = "judge" if hasattr(self.network, "judge") else None
+        return cast(tuple[Array, Array], self.network.apply(params, evidence, method=method))
 
     def _loss_terms(self, params: base.Params, decision: Batch) -> dict[str, Float[Array, ""]]:
         """Computes the terms of the loss for one decision."""
-        logits, value = self._forward(params, decision.obs)
+        logits, value = self._judge(params, decision.evidence)
         return {
             "policy_loss": losses.policy_gradient(logits, decision.action, decision.advantage),
             "value_loss": losses.value_error(value, decision.return_),
@@ -349,7 +365,7 @@ class PegA2C:
         )
 
         return Batch(
-            obs=decisions.obs,
+            evidence=decisions.evidence,
             action=decisions.action,
             return_=return_,
             advantage=return_ - decisions.value,

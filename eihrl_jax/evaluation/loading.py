@@ -270,5 +270,5 @@ def _towards_the_unseen(obs: raster.Picture, key: Key[Array, ""]) -> Int[Array, 
     wall, goal, robot, unseen = (obs[..., channel] for channel in range(4))
     worth = jnp.where(unseen, 0.0, planning.NOWHERE)
     worth = jnp.where(goal, planning.GOAL, worth)
-    values = planning.search(worth, ~wall, robot)
-    return jnp.argmax(planning.at_sides(values, robot)).astype(jnp.int32)
+    ways = planning.search(worth, ~wall, robot)
+    return jnp.argmax(ways.value).astype(jnp.int32)

@@ -1,17 +1,18 @@
 """Planning on a grid: value iteration (Tamar et al. 2016), and shortest ways to what is worth most.
 
-Both are differentiable, the one in its rewards and gates, the other in its worths. Grids are
-handled as flat rows with a column of nothing between them, so that a neighbour is a slice and the
-loop runs over long stretches of memory. The derivatives are written out: what automatic
-differentiation makes of a chain of maxima takes three times as long on CPU.
+Grids come first and batches last, so that what happens in a cell happens in all maps of a batch at
+once, along a long stretch of memory. Ways are searched on boards that hold 32 cells in a word. No
+derivative is taken: `followed` tells of which cells a value consists, which is all that its
+derivative hangs on.
 """
 
 import functools
-from typing import cast
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Num, Shaped
+from jaxtyping import Array, Bool, Float, Int, Num, Shaped, UInt32
 
 Four = tuple[Array, Array, Array, Array]
 """One array per direction, in the order of `base.DIRECTIONS_XY`."""
@@ -23,10 +24,28 @@ NOWHERE = -1e9
 GOAL = 1e5
 """What a goal is worth, in moves: more than anything unseen, however far it is."""
 
+_WORD = 32  # cells of a column that a word of a board holds, the northernmost in the lowest bit
+
+
+class Ways(NamedTuple):
+    """What there is to go for, through each of the four cells around the robot's.
+
+    Attributes:
+      value: float32 [4, *b], the greatest of what cells are worth less the moves to get there from
+        the cell around the robot's; `NOWHERE` where no cell is nearest that way.
+      target: int32 [4, *b], the cell with that value, `row * columns + column`; of several the
+        first. -1 where there is none.
+      moves: float32 [4, *b], moves to it, from the cell around the robot's.
+    """
+
+    value: Float[Array, "4 *b"]
+    target: Int[Array, "4 *b"]
+    moves: Float[Array, "4 *b"]
+
 
 def value_iteration(
-    reward: Float[Array, "n m"], gate: Float[Array, "n m"], num_iterations: int
-) -> Float[Array, "n m"]:
+    reward: Float[Array, "n m *b"], gate: Float[Array, "n m *b"], num_iterations: int
+) -> tuple[Float[Array, "n m *b"], Float[Array, "K n m *b"]]:
     """Iterates V <- reward + gate * max of V over the four neighbours, from V = reward.
 
     Args:
@@ -36,271 +55,242 @@ def value_iteration(
       num_iterations: cells that values travel.
 
     Returns:
-      V. Where neighbours are equal, the derivative follows the first in the order of
-      `base.DIRECTIONS_XY`.
+      V, and what it was before each iteration.
 
     Source: Tamar et al. 2016, "Value Iteration Networks", Sec. 4.1; one action per neighbour.
     """
-    # The column of zeros keeps a row's end from being the neighbour of the next row's start.
-    width = reward.shape[1] + 1
-    flat_reward, flat_gate = (jnp.pad(grid, ((0, 0), (0, 1))).ravel() for grid in (reward, gate))
-    values = cast(Array, _iterate(flat_reward, flat_gate, width, num_iterations))
-    return values.reshape(-1, width)[:, :-1]
+
+    def iterate(values: Float[Array, "n m *b"], _: None) -> tuple[Array, Array]:
+        # Tamar et al. 2016, Sec. 4.1: the maximum over actions of what each leads to.
+        best = functools.reduce(jnp.maximum, neighbours(values))
+        return reward + gate * best, values
+
+    return jax.lax.scan(iterate, reward, None, length=num_iterations)
 
 
-def reach(
-    worth: Float[Array, "n m"], is_open: Bool[Array, "n m"], num_moves: int
-) -> Float[Array, "n m"]:
-    """Returns the greatest of what cells are worth less the moves to get there.
-
-    Iterates U <- max(worth, max of U over the four neighbours - 1) in open cells, from U = worth:
-    the fixed point is reached after as many iterations as the longest way that matters has moves.
+def followed(before: Float[Array, "K n m *b"], cell: Int[Array, "*b"]) -> Int[Array, "K+1 *b"]:
+    """Returns the cells whose rewards and gates a cell's value consists of, itself the first.
 
     Args:
-      worth: of being in each cell, in moves; `NOWHERE` where there is nothing to go for.
-      is_open: cells that can be entered; the others have `NOWHERE`.
-      num_moves: length of the longest way that is looked at.
+      before: values before each iteration, see `value_iteration`.
+      cell: whose value is asked for, see `Ways.target`.
 
     Returns:
-      U; `NOWHERE`, or less than half of it, where nothing is within reach. Where ways are equally
-      good, the derivative follows the first in the order of `base.DIRECTIONS_XY`; ways that
-      `num_moves` cuts off it leaves out.
+      The cell, its best neighbour, and so on; of equal ones the first in the order of
+      `base.DIRECTIONS_XY`. -1 from where the best one lies outside the grid.
     """
-    width = worth.shape[1] + 1
-    flat_worth, flat_open = _flat(worth, is_open)
-    values = cast(Array, _reach(flat_worth, flat_open, width, num_moves))
-    return values.reshape(-1, width)[:, :-1]
+    rows, columns = before.shape[1:3]
+
+    def follow(
+        cell: Int[Array, "*b"], values: Float[Array, "n m *b"]
+    ) -> tuple[Int[Array, "*b"], Int[Array, "*b"]]:
+        i, j = cell // columns, cell % columns
+        is_inside = jnp.stack([j < columns - 1, j > 0, i > 0, i < rows - 1]) & (cell >= 0)[None]
+        around = jnp.where(is_inside, cell[None] + _steps(columns, cell.ndim), -1)
+        best = jnp.argmax(look_up(values, around, 0.0), 0)
+        cell = jnp.take_along_axis(around, best[None], 0)[0]
+        return cell, cell
+
+    _, cells = jax.lax.scan(follow, cell, before, reverse=True)
+    return jnp.concatenate([cell[None], cells[::-1]])
 
 
 def search(
-    worth: Float[Array, "n m"], is_open: Bool[Array, "n m"], robot: Bool[Array, "n m"]
-) -> Float[Array, "n m"]:
-    """Returns what `reach` does for any number of moves, right in the four cells around the robot.
+    worth: Float[Array, "n m *b"],
+    is_open: Bool[Array, "n m *b"],
+    robot: Bool[Array, "n m *b"],
+    num_moves: int | None = None,
+) -> Ways:
+    """Searches for what is worth most less the moves to get there, all around the robot.
 
-    It ends when nothing changes any more, or earlier: a way of more moves than were looked at is
-    worth less than the greatest worth minus these, and the four cells differ by two moves at most,
-    since the robot's own cell lies between them.
+    It ends when every cell has been reached, or earlier: what is farther away is worth less than
+    the greatest worth minus the moves to it, and of the four cells around the robot's none differs
+    by more than two moves from the best, since one can come back through the robot's own cell.
 
     Args:
-      worth: see `reach`.
-      is_open: see `reach`.
-      robot: true in one cell.
+      worth: of being in each cell, in moves; `NOWHERE` where there is nothing to go for. What is
+        more than half of `GOAL` is `GOAL`.
+      is_open: cells that can be entered.
+      robot: true in one cell, which isn't at the rim and whose own worth doesn't count.
+      num_moves: length of the longest way from a cell around the robot's; None: any.
 
     Returns:
-      U, exact where it is above the greatest U around the robot minus 2.
+      The ways; exact where a value is above the greatest of the four minus 2.
     """
-    # On CPU a large map stays in the cache, and each of many has as many sweeps as it needs itself:
-    # 64 maps of 117 x 117 cells take two fifths of the time that they take all at once.
-    is_cpu = jax.default_backend() == "cpu"
-    return (_search_one_by_one if is_cpu else _search)(worth, is_open, robot)
+    rows, columns = worth.shape[:2]
+    is_target = is_open & ~robot & (worth > NOWHERE / 2)
+    is_goal = is_target & (worth > GOAL / 2)
+    greatest = jnp.where(is_target, worth, NOWHERE).max((0, 1))
+    least = jnp.where(is_target & ~is_goal, worth, GOAL).min((0, 1))
+    wanted = _Wanted(pack(is_target), pack(is_goal), least)
+
+    farthest = rows * columns if num_moves is None else num_moves + 1
+    here, free = pack(robot), pack(is_open)
+    frontier = jnp.stack(_moved(here)) & free[None]
+    start = _Search(
+        num_moves=jnp.int32(1),
+        frontier=frontier,
+        free=free & ~here,
+        through=jnp.zeros_like(frontier),
+        bits=(jnp.zeros_like(here),) * farthest.bit_length(),
+        best=jnp.full_like(greatest, NOWHERE),
+    )
+
+    def is_unsettled(search: _Search) -> Bool[Array, ""]:
+        could_be = greatest - search.num_moves.astype(jnp.float32)
+        is_left = (search.frontier != 0).any((0, 1, 2)) & (could_be > search.best - 2.0)
+        return (search.num_moves <= farthest) & is_left.any()
+
+    end = jax.lax.while_loop(is_unsettled, functools.partial(_advance, wanted), start)
+    moves = sum(unpack(board, rows) << k for k, board in enumerate(end.bits))
+    moves = jnp.asarray(moves).astype(jnp.float32) - 1.0
+    return _best(jnp.where(is_target, worth - moves, NOWHERE), end.through, moves)
 
 
-def _search(
-    worth: Float[Array, "n m"], is_open: Bool[Array, "n m"], robot: Bool[Array, "n m"]
-) -> Float[Array, "n m"]:
-    """Searches one map, see `search`."""
-    width = worth.shape[1] + 1
-    flat_worth, flat_open = _flat(worth, is_open)
-    greatest = flat_worth.max()
-    beside = _beside(jnp.pad(robot, ((0, 0), (0, 1))))
-    beside = jnp.where(beside < 0, flat_worth.size, beside)  # outside, as what is too far behind
+class _Wanted(NamedTuple):
+    """What is searched for.
 
-    def is_unsettled(carry: tuple[Array, Array, Array]) -> Array:
-        values, num_moves, has_changed = carry
-        best = values.at[beside].get(mode="fill", fill_value=NOWHERE).max()
-        return has_changed & (greatest - num_moves - 1.0 > best - 2.0)
+    Attributes:
+      targets: board of what is worth something.
+      goals: board of those that are goals.
+      least: worth of the least that is no goal.
+    """
 
-    def advance(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        values, num_moves, _ = carry
-        further = _sweep(flat_worth, flat_open, values, width)
-        return further, num_moves + 1.0, (further != values).any()
-
-    start = (flat_worth, jnp.float32(0.0), jnp.array(True))
-    values, _, _ = jax.lax.while_loop(is_unsettled, advance, start)
-    return values.reshape(-1, width)[:, :-1]
+    targets: UInt32[Array, "N m *b"]
+    goals: UInt32[Array, "N m *b"]
+    least: Float[Array, "*b"]
 
 
-@jax.custom_batching.sequential_vmap
-def _search_one_by_one(
-    worth: Float[Array, "n m"], is_open: Bool[Array, "n m"], robot: Bool[Array, "n m"]
-) -> Float[Array, "n m"]:
-    """Searches one map, and many one after the other."""
-    return _search(worth, is_open, robot)
+class _Search(NamedTuple):
+    """How far a search has come.
+
+    Attributes:
+      num_moves: from the robot to the frontier.
+      frontier: boards [4, N, m, *b] of the cells so far away, by the cells around the robot's that
+        a shortest way leads through.
+      free: board of the open cells that haven't been reached.
+      through: boards of all cells that have been reached, as `frontier`.
+      bits: boards of the bits of the number of moves to each cell, the lowest first.
+      best: at least so much is worth going for among what has been reached.
+    """
+
+    num_moves: Int[Array, ""]
+    frontier: UInt32[Array, "4 N m *b"]
+    free: UInt32[Array, "N m *b"]
+    through: UInt32[Array, "4 N m *b"]
+    bits: tuple[UInt32[Array, "N m *b"], ...]
+    best: Float[Array, "*b"]
 
 
-def at_sides(grid: Shaped[Array, "n m"], robot: Bool[Array, "n m"]) -> Shaped[Array, "4"]:
+def _advance(wanted: _Wanted, search: _Search) -> _Search:
+    """Counts the cells of the frontier as reached, and takes it one move further."""
+    new = _either(list(search.frontier))
+    free = search.free & ~new
+    # The bits of the number of moves, on the boards of which they are.
+    bits = tuple(
+        jnp.where((search.num_moves >> k) & 1 == 1, board | new, board)
+        for k, board in enumerate(search.bits)
+    )
+
+    # What has been reached is worth at least what the least that is wanted would be.
+    at_least = jnp.where((new & wanted.goals).any((0, 1)), GOAL, wanted.least)
+    at_least -= search.num_moves.astype(jnp.float32)
+    best = jnp.where((new & wanted.targets).any((0, 1)), at_least, NOWHERE)
+
+    further = jax.vmap(lambda board: _either(_moved(board)))(search.frontier)
+    return _Search(
+        num_moves=search.num_moves + 1,
+        frontier=further & free[None],
+        free=free,
+        through=search.through | search.frontier,
+        bits=bits,
+        best=jnp.maximum(search.best, best),
+    )
+
+
+def _best(
+    value: Float[Array, "n m *b"],
+    through: UInt32[Array, "4 N m *b"],
+    moves: Float[Array, "n m *b"],
+) -> Ways:
+    """Returns the best cell of those to which a shortest way leads through each direction."""
+    rows, columns = value.shape[:2]
+    cells = jnp.arange(rows * columns).reshape(rows, columns, *(1,) * (value.ndim - 2))
+    values, targets = [], []
+    for board in through:
+        there = jnp.where(unpack(board, rows) > 0, value, NOWHERE)
+        greatest = there.max((0, 1))
+        # The first that is as great: faster than `argmax`, which goes cell by cell.
+        is_it = (there == greatest[None, None]) & (greatest > NOWHERE / 2)[None, None]
+        values.append(greatest)
+        targets.append(jnp.where(is_it, cells, rows * columns).min((0, 1)))
+    target = jnp.stack(targets)
+    target = jnp.where(target == rows * columns, -1, target)
+    return Ways(jnp.stack(values), target, look_up(moves, target, 0.0))
+
+
+def look_up(
+    grid: Shaped[Array, "n m *b"], cells: Int[Array, "..."], outside: float
+) -> Shaped[Array, "..."]:
+    """Returns what a grid holds in cells, see `Ways.target`; `outside` for -1."""
+    flat = grid.reshape(-1, *grid.shape[2:])
+    index = jnp.maximum(cells, 0).reshape(-1, *grid.shape[2:])
+    found = jnp.take_along_axis(flat, index, 0, mode="promise_in_bounds").reshape(cells.shape)
+    return jnp.where(cells < 0, jnp.asarray(outside, grid.dtype), found)
+
+
+def at_sides(grid: Shaped[Array, "n m *b"], robot: Bool[Array, "n m *b"]) -> Shaped[Array, "4 *b"]:
     """Returns what a grid holds in the four cells around the robot's, which isn't at the rim."""
-    return grid.ravel()[_beside(robot)]
+    columns = grid.shape[1]
+    here = jnp.argmax(robot.reshape(-1, *robot.shape[2:]), 0)
+    return look_up(grid, here[None] + _steps(columns, here.ndim), 0)
 
 
-def neighbours(grid: Num[Array, "*k n m"]) -> Four:
+def neighbours(grid: Num[Array, "n m *b"]) -> Four:
     """Returns for each cell its neighbour in x+, x-, y+ and y-; 0 outside. Row 0 is the north."""
-    padded = jnp.pad(grid, [(0, 0)] * (grid.ndim - 2) + [(1, 1), (1, 1)])
-    rows, columns = grid.shape[-2:]
+    padded = jnp.pad(grid, [(1, 1), (1, 1), *[(0, 0)] * (grid.ndim - 2)])
+    rows, columns = grid.shape[:2]
     corners = ((1, 2), (1, 0), (0, 1), (2, 1))
-    east, west, north, south = (padded[..., i : i + rows, j : j + columns] for i, j in corners)
+    east, west, north, south = (padded[i : i + rows, j : j + columns] for i, j in corners)
     return east, west, north, south
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(2, 3))
-def _iterate(
-    reward: Float[Array, " L"], gate: Float[Array, " L"], width: int, num_iterations: int
-) -> Float[Array, " L"]:
-    """Iterates values on flat rows of `width`, see `value_iteration`."""
-    return _forward(reward, gate, width, num_iterations)[0]
+def pack(grid: Bool[Array, "n m *b"]) -> UInt32[Array, "N m *b"]:
+    """Packs the cells of a column into the bits of words."""
+    words = []
+    for first in range(0, grid.shape[0], _WORD):
+        cells = grid[first : first + _WORD]
+        bits = jnp.uint32(1) << jnp.arange(len(cells), dtype=jnp.uint32)
+        bits = bits.reshape(-1, *(1,) * (grid.ndim - 1))
+        words.append(jnp.where(cells, bits, jnp.uint32(0)).sum(0, dtype=jnp.uint32))
+    return jnp.stack(words)
 
 
-def _forward(
-    reward: Float[Array, " L"], gate: Float[Array, " L"], width: int, num_iterations: int
-) -> tuple[Float[Array, " L"], tuple[Float[Array, " L"], Float[Array, "K L"]]]:
-    """Returns V, and what its derivative needs: the gate, and V before each iteration."""
-
-    def iterate(values: Float[Array, " L"], _: None) -> tuple[Array, Array]:
-        east, west, north, south = _shifted(values, width)
-        # Tamar et al. 2016, Sec. 4.1: the maximum over actions of what each leads to.
-        best = jnp.maximum(jnp.maximum(east, west), jnp.maximum(north, south))
-        return reward + gate * best, values
-
-    values, before = jax.lax.scan(iterate, reward, None, length=num_iterations)
-    return values, (gate, before)
+def unpack(board: UInt32[Array, "N m *b"], rows: int) -> UInt32[Array, "n m *b"]:
+    """Returns 1 for the cells on a board of so many rows, see `pack`, and 0 for the others."""
+    parts = []
+    for word, first in zip(board, range(0, rows, _WORD), strict=True):
+        shifts = jnp.arange(min(_WORD, rows - first), dtype=jnp.uint32)
+        parts.append((word[None] >> shifts.reshape(-1, *(1,) * word.ndim)) & 1)
+    return jnp.concatenate(parts)
 
 
-def _backward(
-    width: int,
-    num_iterations: int,
-    residuals: tuple[Float[Array, " L"], Float[Array, "K L"]],
-    cotangent: Float[Array, " L"],
-) -> tuple[Float[Array, " L"], Float[Array, " L"]]:
-    """Follows the best neighbours back, from V's cotangent to those of reward and gate."""
-    del num_iterations
-    gate, before = residuals
-
-    def iterate(
-        carry: tuple[Array, Array, Array], values: Float[Array, " L"]
-    ) -> tuple[tuple[Array, Array, Array], None]:
-        of_values, of_reward, of_gate = carry
-        around = _shifted(values, width)
-        passed = _shifted(of_values * gate, width)
-        # A neighbour hands down to me if I am its best neighbour.
-        handed = [
-            jnp.where(is_best, each, 0.0)
-            for is_best, each in zip(_is_best_of_neighbour(around, width), passed, strict=True)
-        ]
-        of_gate += of_values * functools.reduce(jnp.maximum, around)
-        return (functools.reduce(jnp.add, handed), of_reward + of_values, of_gate), None
-
-    nothing = jnp.zeros_like(gate)
-    (of_values, of_reward, of_gate), _ = jax.lax.scan(
-        iterate, (cotangent, nothing, nothing), before, reverse=True
-    )
-    return of_reward + of_values, of_gate
+def _moved(board: UInt32[Array, "N m *b"]) -> Four:
+    """Returns a board whose cells have moved by one in x+, x-, y+ and y-."""
+    nothing = [(0, 0)] * (board.ndim - 2)
+    east = jnp.pad(board[:, :-1], [(0, 0), (1, 0), *nothing])
+    west = jnp.pad(board[:, 1:], [(0, 0), (0, 1), *nothing])
+    # From one word into the next, the lowest bit being the northernmost cell.
+    into_south = jnp.pad(board[:-1] >> (_WORD - 1), [(1, 0), (0, 0), *nothing])
+    into_north = jnp.pad(board[1:] << (_WORD - 1), [(0, 1), (0, 0), *nothing])
+    return east, west, (board >> 1) | into_north, (board << 1) | into_south
 
 
-_iterate.defvjp(_forward, _backward)
+def _either(boards: Sequence[UInt32[Array, "N m *b"]]) -> UInt32[Array, "N m *b"]:
+    """Returns the cells that are on any of some boards."""
+    return functools.reduce(jnp.bitwise_or, boards)
 
 
-@functools.partial(jax.custom_vjp, nondiff_argnums=(2, 3))
-def _reach(
-    worth: Float[Array, " L"], is_open: Bool[Array, " L"], width: int, num_moves: int
-) -> Float[Array, " L"]:
-    """Iterates on flat rows of `width`, see `reach`."""
-    return _reach_forward(worth, is_open, width, num_moves)[0]
-
-
-def _reach_forward(
-    worth: Float[Array, " L"], is_open: Bool[Array, " L"], width: int, num_moves: int
-) -> tuple[Float[Array, " L"], tuple[Float[Array, " L"], Float[Array, " L"]]]:
-    """Returns U, and what its derivative needs: the worth and U."""
-
-    def advance(_: Int[Array, ""], values: Float[Array, " L"]) -> Float[Array, " L"]:
-        return _sweep(worth, is_open, values, width)
-
-    values = jax.lax.fori_loop(0, num_moves, advance, worth)
-    return values, (worth, values)
-
-
-def _reach_backward(
-    width: int,
-    num_moves: int,
-    residuals: tuple[Float[Array, " L"], Float[Array, " L"]],
-    cotangent: Float[Array, " L"],
-) -> tuple[Float[Array, " L"], None]:
-    """Follows each cell's way to what it goes for, whose worth gets the cell's cotangent."""
-    worth, values = residuals
-    is_end = values <= worth
-    # Ways are chains of best neighbours, as U has them at the end; who has arrived stays.
-    around = _shifted(values, width, outside=NOWHERE)
-    is_on_the_way = _shifted(jnp.where(is_end, 0.0, 1.0), width)
-    comes_from = [
-        jnp.where(is_best, on_the_way, 0.0)
-        for is_best, on_the_way in zip(
-            _is_best_of_neighbour(around, width), is_on_the_way, strict=True
-        )
-    ]
-
-    def advance(_: Int[Array, ""], carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        on_the_way, arrived = carry
-        passed = _shifted(on_the_way, width)
-        on_the_way = functools.reduce(
-            jnp.add, [comes * each for comes, each in zip(comes_from, passed, strict=True)]
-        )
-        return on_the_way, arrived + jnp.where(is_end, on_the_way, 0.0)
-
-    on_the_way = jnp.where(values <= NOWHERE / 2, 0.0, cotangent)
-    start = (on_the_way, jnp.where(is_end, on_the_way, 0.0))
-    _, arrived = jax.lax.fori_loop(0, num_moves, advance, start)
-    return arrived, None
-
-
-_reach.defvjp(_reach_forward, _reach_backward)
-
-
-def _sweep(
-    worth: Float[Array, " L"], is_open: Bool[Array, " L"], values: Float[Array, " L"], width: int
-) -> Float[Array, " L"]:
-    """Lets values come one move further."""
-    best = functools.reduce(jnp.maximum, _shifted(values, width, outside=NOWHERE))
-    return jnp.where(is_open, jnp.maximum(worth, best - 1.0), NOWHERE)
-
-
-def _is_best_of_neighbour(around: Four, width: int) -> Four:
-    """Returns for each direction whether a cell is the best neighbour of its neighbour there.
-
-    Args:
-      around: the values of each cell's neighbours, on flat rows of `width`.
-      width: of a row.
-    """
-    # Which neighbour is the greatest: 0 to 3 in the order of the directions, -1 outside.
-    east, west, north, south = around
-    across, along = jnp.maximum(east, west), jnp.maximum(north, south)
-    best_across, best_along = jnp.where(east >= west, 0, 1), jnp.where(north >= south, 2, 3)
-    chosen = _shifted(jnp.where(across >= along, best_across, best_along), width, outside=-1)
-
-    # I am the best neighbour of mine in x+ if it chose the one in x-, and so on.
-    east, west, north, south = (chosen[k] == back for k, back in enumerate((1, 0, 3, 2)))
-    return east, west, north, south
-
-
-def _beside(robot: Bool[Array, "n m"]) -> Int[Array, "4"]:
-    """Returns the flat indices of the four cells around the robot's."""
-    columns = robot.shape[1]
-    return jnp.argmax(robot) + jnp.array([1, -1, -columns, columns])
-
-
-def _flat(
-    worth: Float[Array, "n m"], is_open: Bool[Array, "n m"]
-) -> tuple[Float[Array, " L"], Bool[Array, " L"]]:
-    """Returns flat rows with a closed column between them, nothing being worth anything there."""
-    flat_worth = jnp.pad(
-        jnp.where(is_open, worth, NOWHERE), ((0, 0), (0, 1)), constant_values=NOWHERE
-    )
-    return flat_worth.ravel(), jnp.pad(is_open, ((0, 0), (0, 1))).ravel()
-
-
-def _shifted(flat: Num[Array, " L"], width: int, outside: float = 0) -> Four:
-    """Returns each cell's neighbour in x+, x-, y+ and y- on flat rows of `width`."""
-    size = flat.shape[0]
-    padded = jnp.pad(flat, width, constant_values=outside)
-    starts = (width + 1, width - 1, 0, 2 * width)
-    east, west, north, south = (padded[start : start + size] for start in starts)
-    return east, west, north, south
+def _steps(columns: int, num_axes: int) -> Int[Array, "4 *ones"]:
+    """Returns what each direction adds to the number of a cell."""
+    return jnp.array([1, -1, -columns, columns]).reshape(4, *(1,) * num_axes)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from eihrl_jax import base
 from eihrl_jax.mazes import paths
 from eihrl_jax.networks import search
+from eihrl_jax.ops import planning
 
 MARGIN = 3
 SIDE = 31 + 2 * MARGIN
@@ -151,7 +152,7 @@ def test_an_untrained_network_heads_for_what_it_has_not_seen_and_first_for_a_goa
     chart[8, 5, 0] = chart[3, 2, 0] = False
     chart[..., 3] = True
     chart[2:9, 2:9, 3] = False
-    params = NETWORK.init(jax.random.key(seed), jnp.asarray(chart))
+    params = jax.jit(NETWORK.init)(jax.random.key(seed), chart)
     apply = jax.jit(NETWORK.apply)
     assert jax.nn.softmax(apply(params, chart)[0])[3] > 0.5
     chart[2, 7, :2] = False, True  # a goal in the wall to the north
@@ -160,7 +161,7 @@ def test_an_untrained_network_heads_for_what_it_has_not_seen_and_first_for_a_goa
 
 def test_where_nothing_is_left_all_directions_are_alike():
     chart = jnp.zeros((SIDE, SIDE, 4), bool).at[4, 4, 2].set(True)
-    logits, value = NETWORK.apply(_init(), chart)
+    logits, value = jax.jit(NETWORK.apply)(_init(), chart)
     assert not logits.any() and jnp.isfinite(value)
 
 
@@ -172,7 +173,7 @@ def test_logits_turn_and_mirror_with_the_map(turns, is_mirrored, around):
 
     batch = charts(6, 9).at[..., 2].set(False).at[:, 4, 4, 2].set(True)
     network = search.SearchActorCritic(num_moves=8, look_ahead=3, around=around)
-    params = network.init(jax.random.key(1), batch[0])
+    params = jax.jit(network.init)(jax.random.key(1), batch[0])
     apply = jax.jit(jax.vmap(network.apply, (None, 0)))
     logits, values = apply(params, batch)
     changed = jnp.stack([jnp.asarray(change(np.asarray(chart)).copy()) for chart in batch])
@@ -191,3 +192,79 @@ def test_training_s_limited_ways_and_any_ways_agree_where_the_limit_suffices():
     found, same = jax.jit(jax.vmap(endless.apply, (None, 0)))(params, batch)
     np.testing.assert_allclose(found, logits, atol=1e-5)
     np.testing.assert_allclose(same, values, atol=1e-5)
+
+
+def _whole_map(params, chart, num_moves, look_ahead):
+    """Logits and value with operations whose derivative JAX knows, every cell looked at."""
+
+    def dense(name, inputs):
+        kernel, bias = (params["params"][name][part] for part in ("kernel", "bias"))
+        return inputs @ kernel + jnp.broadcast_to(bias, (*inputs.shape[:-1], len(bias)))
+
+    def best_beside(grid, outside):
+        padded = jnp.pad(grid, 1, constant_values=outside)
+        around = padded[1:-1, 2:], padded[1:-1, :-2], padded[:-2, 1:-1], padded[2:, 1:-1]
+        return functools.reduce(jnp.maximum, around)
+
+    wall, goal, robot, unseen = (chart[..., channel] for channel in range(4))
+    grid = jnp.stack([wall, goal, unseen], -1).astype(jnp.float32)
+    padded = jnp.pad(grid, ((1, 1), (1, 1), (0, 0)))
+    sides = padded[1:-1, 2:] + padded[1:-1, :-2] + padded[:-2, 1:-1] + padded[2:, 1:-1]
+    hidden = jax.nn.relu(dense("cells", jnp.concatenate([grid, sides], -1)))
+    outputs = dense("worths", hidden)
+    reward = jnp.where(unseen, jnp.exp(jnp.clip(outputs[..., 0], -10.0, 10.0)), 0.0)
+    gate = jnp.where(unseen, jax.nn.sigmoid(outputs[..., 1] + 3.0), 0.0)
+    sums = reward
+    for _ in range(look_ahead):
+        sums = reward + gate * best_beside(sums, 0.0)
+
+    logs = jnp.log(jnp.where(unseen, sums, 1.0))
+    worth = jnp.where(unseen, params["params"]["moves_per_worth"] * logs, planning.NOWHERE)
+    worth = jnp.where(goal, planning.GOAL, worth)
+    worth = values = jnp.where(wall, planning.NOWHERE, worth)
+    for _ in range(num_moves):
+        further = jnp.maximum(worth, best_beside(values, planning.NOWHERE) - 1.0)
+        values = jnp.where(wall, planning.NOWHERE, further)
+
+    around, beside_wall = planning.at_sides(values, robot), planning.at_sides(wall, robot)
+    best = around.max()
+    around = jnp.where(beside_wall, best - 1.0, jnp.maximum(around, best - 2.0))
+    near = jnp.clip(jnp.where(best > planning.GOAL / 2, best - planning.GOAL, best), -30.0, 30.0)
+    shares = jnp.stack([goal.any().astype(jnp.float32), unseen.mean(), wall.mean()])
+    pooled = [hidden.mean((0, 1)), jnp.stack([near / 30.0, jnp.exp(near / 15.0)]), shares]
+    seen = jax.nn.relu(dense("pooled", jax.lax.stop_gradient(jnp.concatenate(pooled))))
+    logits = jnp.exp(params["params"]["log_scale"]) * (around - best)
+    return logits, dense("value", seen)[0]
+
+
+def test_equals_looking_at_every_cell_and_so_does_its_derivative():
+    """In more maps at once than are looked at together."""
+    rng = np.random.default_rng(0)
+    kinds = rng.choice(4, (900, 9, 9), p=[0.48, 0.25, 0.01, 0.26])
+    kinds[:, 4, 4] = 0
+    batch = np.stack([kinds == 1, kinds == 2, np.zeros_like(kinds, bool), kinds == 3], -1)
+    batch[:, 4, 4, 2] = True
+    network = search.SearchActorCritic(num_moves=12, look_ahead=3)
+    shapes = jax.eval_shape(network.init, jax.random.key(0), batch[0])
+    params = jax.tree.map(lambda leaf: rng.normal(size=leaf.shape).astype(np.float32), shapes)
+    weights = rng.normal(size=(900, 5)).astype(np.float32)
+    assert (900 * 81) > search._CACHED
+
+    def loss(params, batch, apply):
+        logits, values = jax.vmap(apply, (None, 0))(params, batch)
+        return (weights * jnp.append(logits, values[:, None], 1)).mean(), (logits, values)
+
+    def whole_map(params, chart):
+        return _whole_map(params, chart, 12, 3)
+
+    (ours, found), (theirs, expected) = (
+        jax.jit(jax.grad(functools.partial(loss, apply=apply), has_aux=True))(params, batch)
+        for apply in (network.apply, whole_map)
+    )
+    np.testing.assert_allclose(found[0], expected[0], atol=1e-2)  # of 2: a goal's worth is large
+    np.testing.assert_allclose(found[1], expected[1], rtol=1e-4, atol=1e-4)
+    assert (np.ptp(np.asarray(found[0]), axis=1) > 0).mean() > 0.9
+    for one, other in zip(*(jax.tree.leaves(grads) for grads in (ours, theirs)), strict=True):
+        scale = np.abs(other).max()
+        assert scale > 0.0
+        np.testing.assert_allclose(one, other, atol=1e-3 * scale)

@@ -1,6 +1,4 @@
-"""Value iteration against a plain loop over cells, and its derivative against automatic ones."""
-
-import functools
+"""Value iteration against a plain loop over cells, and ways against breadth-first search."""
 
 import jax
 import jax.numpy as jnp
@@ -28,14 +26,6 @@ def looped(reward, gate, num_iterations):
     return values
 
 
-def differentiated(reward, gate, num_iterations):
-    """Does the same with operations whose derivative JAX knows."""
-    values = reward
-    for _ in range(num_iterations):
-        values = reward + gate * jnp.stack(planning.neighbours(values)).max(0)
-    return values
-
-
 def drawn(shape, seed=0):
     rng = np.random.default_rng(seed)
     reward = rng.normal(size=shape).astype(np.float32)
@@ -46,14 +36,22 @@ def drawn(shape, seed=0):
 @pytest.mark.parametrize("num_iterations", [0, 1, 6])
 def test_equals_a_loop_over_cells(shape, num_iterations):
     reward, gate = drawn(shape)
-    values = jax.jit(planning.value_iteration, static_argnums=2)(reward, gate, num_iterations)
+    iterate = jax.jit(planning.value_iteration, static_argnums=2)
+    values, before = iterate(reward, gate, num_iterations)
     np.testing.assert_allclose(values, looped(reward, gate, num_iterations), rtol=1e-5, atol=1e-6)
+    assert before.shape == (num_iterations, *shape)
+    # A batch comes last.
+    of_two, _ = iterate(
+        *(np.stack([grid, grid[::-1]], -1) for grid in (reward, gate)), num_iterations
+    )
+    np.testing.assert_allclose(of_two[..., 0], values, rtol=1e-6)
+    np.testing.assert_allclose(of_two[..., 1], values[::-1], rtol=1e-6)
 
 
 def test_a_reward_travels_around_a_wall_and_fades_with_every_cell():
     reward, gate = jnp.zeros((3, 5)).at[0, 4].set(1.0), jnp.full((3, 5), 0.5)
     gate = gate.at[:2, 2].set(0.0)  # a wall with a gap in the south
-    values = planning.value_iteration(reward, gate, 12)
+    values, _ = planning.value_iteration(reward, gate, 12)
     # Eight moves; from the reward's cell on, coming back pays again.
     assert 0.5**8 < float(values[0, 0]) < 2 * 0.5**8
     assert values[0, 2] == 0.0
@@ -61,21 +59,20 @@ def test_a_reward_travels_around_a_wall_and_fades_with_every_cell():
 
 
 @pytest.mark.parametrize("num_iterations", [0, 1, 7])
-def test_derivative_equals_the_automatic_one(num_iterations):
-    drawings = [drawn((4, 6), seed) for seed in range(3)]
-    reward, gate = (jnp.stack(grids) for grids in zip(*drawings, strict=True))
-    weights = jax.random.normal(jax.random.key(0), reward.shape)
+def test_a_value_consists_of_the_cells_that_it_is_followed_to(num_iterations):
+    reward, gate = drawn((4, 6))
+    iterate = jax.jit(planning.value_iteration, static_argnums=2)
+    values, before = iterate(reward, gate, num_iterations)
+    cells = np.array([0, 9, 23, -1])
+    followed = planning.followed(jnp.stack([before] * 4, -1), jnp.asarray(cells))
+    assert followed.shape == (num_iterations + 1, 4) and (followed[0] == cells).all()
 
-    def loss(iteration, reward, gate):
-        values = jax.vmap(iteration, (0, 0, None))(reward, gate, num_iterations)
-        return (weights * jnp.sin(values)).sum()
-
-    ours, theirs = (
-        jax.jit(jax.grad(loss, (1, 2)), static_argnums=0)(iteration, reward, gate)
-        for iteration in (planning.value_iteration, differentiated)
-    )
-    for one, other in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)
+    # Outside the grid, as behind the last cell, there is nothing.
+    sums = np.zeros(4)
+    for chain in np.asarray(followed)[::-1]:
+        sums = np.where(chain < 0, 0.0, reward.ravel()[chain] + gate.ravel()[chain] * sums)
+    np.testing.assert_allclose(sums[:3], values.ravel()[cells[:3]], rtol=1e-5)
+    assert (followed[:, 3] == -1).all()
 
 
 def test_neighbours_lie_where_the_directions_point():
@@ -105,60 +102,46 @@ def shortest(worth, is_open, num_moves):
     return values
 
 
-@pytest.mark.parametrize("shape", [(6, 6), (3, 9), (1, 1)])
-@pytest.mark.parametrize("num_moves", [0, 1, 5, 30])
-@pytest.mark.parametrize("seed", range(3))
-def test_reach_finds_the_shortest_ways(shape, num_moves, seed):
-    worth, is_open = walled(shape, seed)
-    values = np.asarray(jax.jit(planning.reach, static_argnums=2)(worth, is_open, num_moves))
-    expected = shortest(worth, is_open, num_moves)
-    is_reached = expected > planning.NOWHERE
-    np.testing.assert_array_equal(values > planning.NOWHERE / 2, is_reached)
-    np.testing.assert_allclose(values[is_reached], expected[is_reached], atol=1e-5)
+@pytest.mark.parametrize("shape", [(9, 9), (40, 5)])
+@pytest.mark.parametrize("num_moves", [None, 0, 1, 5])
+def test_search_is_right_around_the_robot(shape, num_moves):
+    """In many maps at once: all robots of a map are a batch, which comes last."""
+    worth, is_open = walled(shape, num_moves or 7)
+    cells = np.array([cell for cell in np.argwhere(np.asarray(is_open)) if _is_inside(cell, shape)])
+    robots = np.zeros((*shape, len(cells)), bool)
+    robots[cells[:, 0], cells[:, 1], np.arange(len(cells))] = True
+    grids = (jnp.repeat(jnp.asarray(grid)[..., None], len(cells), -1) for grid in (worth, is_open))
+    search = jax.jit(planning.search, static_argnums=3)
+    ways = jax.tree.map(np.asarray, search(*grids, jnp.asarray(robots), num_moves))
 
-
-@pytest.mark.parametrize("seed", range(8))
-def test_search_is_right_around_the_robot(seed):
-    worth, is_open = walled((9, 9), seed)
-    whole = np.asarray(planning.reach(worth, is_open, 81))
-    for cell in np.argwhere(np.asarray(is_open))[::5]:
-        robot = np.zeros((9, 9), bool)
-        robot[tuple(cell)] = True
-        found, expected = (
-            np.array([np.asarray(grid)[tuple(cell)] for grid in planning.neighbours(values)])
-            for values in (jax.jit(planning.search)(worth, is_open, robot), jnp.asarray(whole))
-        )
-        # What is outside of the grid isn't looked at.
-        found, expected = (
-            np.where(around == 0.0, planning.NOWHERE, around) for around in (found, expected)
+    num_right = 0
+    for k, (i, j) in enumerate(cells):
+        # What the robot's own cell is worth doesn't count.
+        others = np.asarray(worth).copy()
+        others[i, j] = planning.NOWHERE
+        limit = 10**6 if num_moves is None else num_moves
+        values = shortest(others, is_open, limit)
+        expected = np.array(
+            [values[i, j + 1], values[i, j - 1], values[i - 1, j], values[i + 1, j]]
         )
         least = expected.max() - 2.0
+        found = ways.value[:, k]
         np.testing.assert_allclose(np.maximum(found, least), np.maximum(expected, least), atol=1e-5)
 
+        # Each value is that of the cell named.
+        is_way = ways.target[:, k] >= 0
+        there = others.ravel()[ways.target[is_way, k]] - ways.moves[is_way, k]
+        np.testing.assert_allclose(there, found[is_way], atol=1e-5)
+        assert (found[~is_way] == planning.NOWHERE).all()
+        num_right += is_way.sum()
+    assert num_right > len(cells) or num_moves == 0
 
-@pytest.mark.parametrize("num_moves", [0, 12])
-def test_derivative_of_reach_equals_the_automatic_one(num_moves):
-    drawings = [walled((5, 6), seed) for seed in range(3)]
-    worth, is_open = (jnp.stack(grids) for grids in zip(*drawings, strict=True))
-    weights = jax.random.normal(jax.random.key(0), worth.shape)
+    one = search(worth, is_open, jnp.asarray(robots[..., 0]), num_moves)
+    best = ways.value[:, 0].max() - 2.0
+    np.testing.assert_allclose(
+        np.maximum(one.value, best), np.maximum(ways.value[:, 0], best), atol=1e-6
+    )
 
-    def automatic(worth, is_open, num_moves):
-        worth = values = jnp.where(is_open, worth, planning.NOWHERE)
-        for _ in range(num_moves):
-            padded = jnp.pad(values, 1, constant_values=planning.NOWHERE)
-            around = padded[1:-1, 2:], padded[1:-1, :-2], padded[:-2, 1:-1], padded[2:, 1:-1]
-            further = jnp.maximum(worth, functools.reduce(jnp.maximum, around) - 1.0)
-            values = jnp.where(is_open, further, planning.NOWHERE)
-        return values
 
-    def loss(reach, worth):
-        values = jax.vmap(reach, (0, 0, None))(worth, is_open, num_moves)
-        is_reached = values > planning.NOWHERE / 2
-        return jnp.where(
-            is_reached, weights * jnp.sin(jnp.where(is_reached, values, 0.0)), 0.0
-        ).sum()
-
-    ours = jax.jit(jax.grad(lambda worth: loss(planning.reach, worth)))(worth)
-    theirs = jax.jit(jax.grad(lambda worth: loss(automatic, worth)))(worth)
-    np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-3)
-    assert np.abs(np.asarray(ours)).max() > 0.1
+def _is_inside(cell, shape):
+    return all(0 < place < size - 1 for place, size in zip(cell, shape, strict=True))
