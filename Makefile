@@ -6,11 +6,11 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS := build/docs
 TOOLS := build/tools
-SOURCES := eihrl_jax experiments notebooks tests typings
+SOURCES := eihrl_jax experiments mkdocs_examples.py notebooks tests typings
 PYTHONS := python3.11 python3
 
 .DEFAULT_GOAL := help
-.PHONY: help install docs demo test test-slow fuzz soak lint typecheck format lock clean
+.PHONY: help install docs notebooks demo test test-slow fuzz soak lint typecheck format lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 12
@@ -46,6 +46,9 @@ format: $(READY) ## rewrite the sources in the project's format
 
 docs: $(DOCS)/.ready ## build the documentation into site/, every link checked
 	$(DOCS)/bin/zensical build --clean --strict
+
+notebooks: $(READY) ## run the notebooks and keep their outputs
+	$(BIN)/python notebooks/keep_outputs.py $(ARGS)
 
 lock: $(TOOLS)/bin/uv ## write requirements.lock anew; ARGS=--upgrade takes newer versions
 	$(TOOLS)/bin/uv --no-config pip compile pyproject.toml --output-file requirements.lock \

@@ -39,7 +39,7 @@ AXIS = "workers"
 
 
 class LearnerState(struct.PyTreeNode):
-    """All that continuing needs. W workers.
+    """All that is needed to continue. W workers.
 
     Attributes:
       params: parameters of the network.

@@ -20,7 +20,7 @@ EARLIER = {("", "--peers"): "--baselines", ("--parts", "peers"): "baselines"}
 
 
 def _close(run: pathlib.Path, following: str) -> None:
-    """Says at the end of a training what it has left, and which command comes next."""
+    """Prints what a training has written, and which command comes next."""
     print(f"written to {run}: policy, metrics.csv, learning_curve.png")
     print(f"next: eihrl {following}")
 
@@ -184,6 +184,19 @@ def maze() -> Command:
     return Command(main, maze_config.MazeConfig)
 
 
+def gallery() -> Command:
+    """Animates one robot in several mazes, side by side."""
+    from eihrl_jax.config import gallery as gallery_config
+    from eihrl_jax.reporting import gallery as gallery_lib
+
+    def main(options: gallery_config.GalleryConfig) -> None:
+        for maze, episode in zip(options.mazes, gallery_lib.draw(options), strict=True):
+            print(f"{maze}: success {episode.success:.0%}, {episode.num_decisions} decisions")
+        print(f"written to {options.out}")
+
+    return Command(main, gallery_config.GalleryConfig)
+
+
 def list_() -> Command:
     """Lists what is shipped: policies, robots, mazes and suites of mazes."""
     from eihrl_jax.config import catalogue as catalogue_config
@@ -301,6 +314,7 @@ COMMANDS: dict[str, Make] = {
         robot,
         report,
         maze,
+        gallery,
         list_,
         demo,
         value_gap,

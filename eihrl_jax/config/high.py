@@ -1,7 +1,7 @@
 """Options of the high level's training: task, network, learner, and the run around them.
 
-The paper names none of the learner's numbers; what stands here as default is the preset `paper`,
-whose sources are named option by option (see also `presets`).
+The paper doesn't give the learner's numbers. The defaults here are the preset `paper`; each option
+names its source (see also `presets`).
 """
 
 import pathlib
@@ -24,7 +24,7 @@ class Task:
       robot: whose postures are drawn and whose radius stops at walls.
       reward: sparse pays 1 per goal region, dense 1 / (1 + distance) per decision (paper, D.2).
       extent: side of the view in units; three cells show the next move and the walls beside it.
-      pixels: side of the view in pixels; 15 for 9 units is five per cell.
+      pixels: side of the view in pixels; 15 for 9 units are five per cell.
       step: units that a subgoal moves the body (paper, Table 4).
       sigma: standard deviation in units and per axis of the offset added to every move, the epsilon
         of the paper's epsilon-Invariant Randomization (Sec. 3.2); a tenth of the step is ours.
@@ -37,7 +37,7 @@ class Task:
       map_radius: cells to every side of the robot's on a map of all that has been in view, which
         the high level sees in place of the view itself; not in the paper. 0: no map.
       knows: what is on the map from the start: nothing, the cells of the goal, or the whole map.
-      num_rooms: random rooms to train in instead of `maze`, another lot for every seed; 0: `maze`.
+      num_rooms: random rooms to train in instead of `maze`, others for every seed; 0: `maze`.
       room_sides: least and greatest number of rows and columns inside of such a room.
       room_walls: greatest share of inner wall in such a room.
     """
@@ -84,7 +84,7 @@ class Network:
       hidden: widths of the dense layers that follow.
       num_iterations: of search, length in moves of the longest way that training looks at; once
         trained, it goes any way.
-      look_ahead: of search, cells into the unseen that count for what going there is worth.
+      look_ahead: of search, how many unseen cells on a way count for the worth of going there.
       cell_features: of search, width of the layer that looks at a cell.
       value_features: of search, width of the layer before the value.
       around: of search, what it looks at beside a cell itself: nothing, the four cells at its

@@ -69,9 +69,9 @@ class Droq:
       learning_rate: of Adam for actor, critics and temperature, at the start.
       learning_rate_half_life: critic updates in which the learning rate halves, however long the
         run; none: it stays.
-      target_rate: tau of the moving average that the target critics are.
+      target_rate: tau, rate of the target critics' moving average.
       average_rate: of the moving average of the actor, per update of it; 1: the actor itself.
-      target_entropy: what the temperature steers the policy's entropy to, nats per action
+      target_entropy: entropy that the temperature steers the policy to, nats per action
         dimension; -1/2 gives the authors' -4 for the ant's eight.
       temperature: alpha at the start.
       actor_period: critic updates per update of actor and temperature.
@@ -119,10 +119,10 @@ class LowConfig:
       num_iterations: vector steps of the run; env steps divided by `num_envs`.
       warmup_iterations: first vector steps, with uniform actions and without updates.
       updates_per_iteration: critic updates per vector step.
-      capacity: transitions that the replay holds, a multiple of `num_envs`.
-      relabel: look at drawn steps as if a random direction had been asked for: "direction" since
-        the subgoal began, "restart" just now.
-      relabel_share: share of the drawn steps that are looked at so.
+      capacity: transitions in the replay, a multiple of `num_envs`.
+      relabel: give replayed steps a random direction: "direction" from the start of their subgoal
+        on, "restart" from this step on, as the first one of a new subgoal.
+      relabel_share: share of the replayed steps that are changed so.
       num_rooms: random rooms to train in, every second one with inner walls; 0: open floor alone.
       corridor_share: share of the random rooms that are corridors of one cell's width; there
         directions are free and subgoals count from the middle of the robot's cell, as in a maze.

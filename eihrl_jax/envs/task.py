@@ -63,7 +63,7 @@ class MazeTable(struct.PyTreeNode):
 
 
 class Navigation(struct.PyTreeNode):
-    """Where an episode stands.
+    """The state of an episode.
 
     Attributes:
       maze: int32, which maze of the table.
@@ -188,8 +188,8 @@ def advance(
       nav: the episode before the decision.
       path_xy: torso positions during the decision, the last one where it ended, units.
       reward: what is paid. Sparse: the number of goals entered for the first time. Dense: see
-        `dense_reward`, where the decision ended; then the last goal ends nothing, for else it would
-        pay to wait beside it: who has arrived is paid 1 for every decision that is left.
+        `dense_reward`, where the decision ended. Then the last goal doesn't end the episode, and
+        every decision after it pays 1: else waiting beside the goal would pay more.
 
     Returns:
       The episode after the decision, and what it led to.

@@ -46,11 +46,11 @@ _DISPLACEMENT = (
 
 
 class SubgoalStart(struct.PyTreeNode):
-    """How things were when a subgoal was given.
+    """Conditions at the start of a subgoal.
 
     Attributes:
       is_upright: the robot had not fallen.
-      is_clear: no wall was in its way; in corridors directions are free, and walls beside it.
+      is_clear: no wall was in its way. In corridors directions are free, but walls are beside it.
     """
 
     is_upright: Bool[Array, ""]
@@ -58,11 +58,11 @@ class SubgoalStart(struct.PyTreeNode):
 
 
 class Steps(struct.PyTreeNode):
-    """What robots did, control step by control step. T: steps, N: robots.
+    """What robots did in each control step. T: steps, N: robots.
 
     Attributes:
       direction: int32, the subgoal that was followed.
-      start: how things were when it was given.
+      start: conditions at its start.
       switched: float32, 1 where it ended with this step.
       along: float32, displacement along it when it ended, units.
       lateral: float32, displacement to its left when it ended, units.
@@ -87,7 +87,7 @@ class Steps(struct.PyTreeNode):
 
 @dataclasses.dataclass(frozen=True)
 class Measurement:
-    """What was measured of one low level.
+    """The measurements of one low level.
 
     Attributes:
       robot: whose it is.
@@ -112,7 +112,7 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
     """Measures a low level on open floor, in random rooms and in corridors.
 
     Args:
-      options: whose, and how long.
+      options: which low level, and how long.
 
     Raises:
       base.UserError: robot or policy is unknown or doesn't fit.

@@ -44,9 +44,9 @@ HighPolicy: TypeAlias = Callable[[raster.Picture | None, Key[Array, ""]], Int[Ar
 
 @runtime_checkable
 class Recordable(Protocol):
-    """An environment of decisions that also returns the way, see `envs.hierarchy.Hierarchy`.
+    """An environment of decisions that can also return each decision's path.
 
-    Its inner states have `nav`, an `envs.task.Navigation`.
+    `envs.hierarchy.Hierarchy` is one. Its inner states have `nav`, an `envs.task.Navigation`.
     """
 
     def reset(self, key: Key[Array, ""], maze: Int[Array, ""] | None = None) -> base.EnvState:

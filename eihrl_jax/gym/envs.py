@@ -1,4 +1,4 @@
-"""What all our environments of Gymnasium have in common, alone and in parallel."""
+"""What the Gymnasium environments have in common: one robot, and many in parallel."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -21,11 +21,11 @@ _RENDER_MODE = "rgb_array"
 class SingleEnv(gymnasium.Env[Any, Any]):
     """One robot.
 
-    A seed draws the first episode, and those after it as long as no other one is given: the same
-    as of the bare environment with `jax.random.key(seed)`.
+    A seed determines the first episode and all that follow until another seed is given. They are
+    those of the bare environment with `jax.random.key(seed)`.
 
     Attributes:
-      task: what it runs, and how that is shown.
+      task: the environment to run, and how to show it.
     """
 
     metadata: dict[str, Any] = {"render_modes": [_RENDER_MODE]}  # noqa: RUF012 (as Gymnasium has it)
@@ -34,7 +34,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         """Compiles nothing yet.
 
         Raises:
-          base.UserError: the render mode isn't as it should be.
+          base.UserError: the render mode is unknown.
         """
         self.task = task
         self.render_mode = _checked(render_mode)
@@ -47,11 +47,11 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         """Begins a new episode.
 
         Args:
-          seed: of all that is drawn from now on; None: what follows the last episode.
+          seed: of all following draws; None: the random stream goes on.
           options: `start_cell` and `goal_cell`, see `places.choose`.
 
         Raises:
-          base.UserError: an option is unknown, or not as it should be.
+          base.UserError: an option is unknown or has a wrong value.
         """
         options = places.check_options(options, (places.START, places.GOAL))
         super().reset(seed=seed)
@@ -80,7 +80,7 @@ class SingleEnv(gymnasium.Env[Any, Any]):
         return self._rows.draw(self._painter)[0]
 
     def close(self) -> None:
-        """Closes what is open to draw with."""
+        """Closes the renderer."""
         self._painter.close()
 
 
@@ -108,7 +108,7 @@ class ParallelEnv(vector.VectorEnv[Any, Any, np.ndarray]):
         """Compiles nothing yet.
 
         Raises:
-          base.UserError: the number or a mode isn't as it should be.
+          base.UserError: `num_envs` is out of its limits, or a mode is unknown.
         """
         modes = {mode.value: mode for mode in Mode}
         value = autoreset_mode.value if isinstance(autoreset_mode, Mode) else autoreset_mode
@@ -138,12 +138,13 @@ class ParallelEnv(vector.VectorEnv[Any, Any, np.ndarray]):
         """Begins new episodes, in all rows unless `reset_mask` names some.
 
         Args:
-          seed: of row 0, or of each row; None: what follows the last episodes.
+          seed: of row 0 (row i has seed + i), or one per row; None: the random streams go on.
           options: `start_cell` and `goal_cell`, for all rows or one each, see `places.choose`;
             `reset_mask`.
 
         Raises:
-          base.UserError: an option is unknown, or not as it should be; too few or many seeds.
+          base.UserError: an option is unknown or has a wrong value; the seeds are more or fewer
+            than the rows.
         """
         options = places.check_options(options, (places.START, places.GOAL, places.MASK))
         seeds = self._seeds(seed)
@@ -180,7 +181,7 @@ class ParallelEnv(vector.VectorEnv[Any, Any, np.ndarray]):
         return tuple(self._rows.draw(self._painter))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Closes what is open to draw with."""
+        """Closes the renderer."""
         del kwargs
         self._painter.close()
 

@@ -38,7 +38,7 @@ EnvState: TypeAlias = base.EnvState[Any, Any]
 
 @runtime_checkable
 class PlacedEnvironment(Protocol):
-    """One of our environments of mazes, whose episodes begin where they are told to."""
+    """A maze environment whose episodes can begin at a given place."""
 
     def reset(
         self,
@@ -56,29 +56,29 @@ class PlacedEnvironment(Protocol):
 
 @runtime_checkable
 class Task(Protocol):
-    """What a robot sees, does and is paid for; JAX isn't started before `environment` is called.
+    """Observations, actions and rewards of a robot; JAX starts when `environment` is called.
 
     Tasks are hashable, and equal where their programs are the same.
 
     Attributes:
-      maze: where it is.
-      robot: who it is.
-      fps: pictures per second in which a video shows it as fast as it is.
+      maze: the maze.
+      robot: the robot.
+      fps: pictures per second at which a video runs in real time.
     """
 
     @property
     def maze(self) -> places.HostMaze:
-        """Where it is."""
+        """The maze."""
         ...
 
     @property
     def robot(self) -> robot_lib.Robot:
-        """Who it is."""
+        """The robot."""
         ...
 
     @property
     def fps(self) -> int:
-        """Pictures per second in which a video shows it as fast as it is."""
+        """Pictures per second at which a video runs in real time."""
         ...
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
@@ -94,7 +94,7 @@ class Task(Protocol):
         ...
 
     def nav(self, inner: Any) -> task_lib.Navigation:
-        """Returns where an episode stands."""
+        """Returns the episode's navigation state."""
         ...
 
     def qpos(self, inner: Any) -> Float[Array, "N nq"]:
@@ -102,21 +102,22 @@ class Task(Protocol):
         ...
 
     def reward(self, final: Shown, reward: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-        """Returns what is paid, given what was last seen and what the environment pays."""
+        """Returns the reward, given the last observation and the environment's reward."""
         ...
 
 
 class Ends(struct.PyTreeNode):
-    """What a step led to, in each of N rows.
+    """The outcome of a step in each of N rows.
 
     Attributes:
-      obs: what is seen now.
-      final: what the action led to, also where a new episode has begun since.
+      obs: current observation.
+      final: observation after the action, also where a new episode has begun since.
       reward: see `base.Outcome`, like the next two.
       terminated: the episode ended for good.
       truncated: the episode was cut by its time limit.
       metrics: of the episode that was stepped.
-      is_stepped: whether an action was followed, and no episode begun or left at rest instead.
+      is_stepped: whether the action was used; false where a step began an episode or left one at
+        rest.
     """
 
     obs: PyTree[Array]
@@ -129,11 +130,11 @@ class Ends(struct.PyTreeNode):
 
 
 class Step(NamedTuple):
-    """An `Ends` as NumPy arrays, which may be written to.
+    """An `Ends` as writable NumPy arrays.
 
     Attributes:
-      obs: what is seen now.
-      final: what the action led to.
+      obs: current observation.
+      final: observation after the action.
       reward: float32 [N].
       terminated: bool [N].
       truncated: bool [N].
@@ -149,7 +150,7 @@ class Step(NamedTuple):
 
 
 class Rows:
-    """N episodes and their programs; a copy of it goes on as the original would."""
+    """N episodes and their compiled programs; a copy continues as the original would."""
 
     def __init__(self, task: Task, num: int, mode: Mode = Mode.DISABLED):
         """Compiles nothing yet.
@@ -173,12 +174,12 @@ class Rows:
         """Begins new episodes, in all rows or in those of a mask; returns what all rows see.
 
         Args:
-          seeds: of the rows' keys; None: they go on with theirs, or are given some at first.
+          seeds: of the rows' keys; None: the keys go on, or are drawn on the first reset.
           options: see `places.choose`, and `reset_mask`, bool [N].
           generator: draws seeds, and places that are named in part.
 
         Raises:
-          base.UserError: an option isn't as it should be, or nothing has begun that could be kept.
+          base.UserError: an option has a wrong value, or rows are to be kept that haven't begun.
         """
         mask = self._mask(options)
         chosen = places.choose(self.task.maze, options, self.num, generator)
@@ -201,7 +202,7 @@ class Rows:
         """Advances every row one step.
 
         Raises:
-          base.UserError: nothing has begun, or the actions are none.
+          base.UserError: no episode has begun, or the actions don't fit the action space.
         """
         if self._state is None:
             raise base.UserError("step was called before reset")
@@ -223,7 +224,7 @@ class Rows:
         """Draws every row.
 
         Raises:
-          base.UserError: nothing has begun.
+          base.UserError: no episode has begun.
         """
         if self._state is None:
             raise base.UserError("render was called before reset")
@@ -258,7 +259,7 @@ class Rows:
         return array.astype(np.int32 if is_index else np.float32)
 
     def _mask(self, options: places.Options) -> np.ndarray | None:
-        """Returns which rows a reset is for, None for all."""
+        """Returns the rows that a reset concerns, None for all."""
         mask = options.get(places.MASK)
         if mask is None:
             return None

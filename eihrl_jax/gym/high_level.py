@@ -33,7 +33,7 @@ _FPS = 4  # a decision takes seconds
 
 @dataclasses.dataclass(frozen=True)
 class HighLevelTask:
-    """A robot that is told directions, see the module.
+    """A robot that follows directions, see the module.
 
     Attributes:
       robot: the robot.
@@ -41,7 +41,7 @@ class HighLevelTask:
       reward_kind: sparse or dense.
       movement: oracle or full.
       low: name of the low level that walks; not used by the oracle.
-      view: what is seen.
+      view: size and channels of the observation.
       anchored: whether a subgoal counts from the middle of the robot's cell, see `task.anchor`.
     """
 
@@ -54,14 +54,14 @@ class HighLevelTask:
     anchored: bool
 
     def __post_init__(self) -> None:
-        """Checks the words."""
+        """Checks the arguments."""
         checks.one_of("reward", self.reward_kind, base.REWARDS)
         checks.one_of("movement", self.movement, base.MOVEMENTS)
         places.engine_of(self.robot, "mujoco")  # says what is wrong with a robot
 
     @property
     def fps(self) -> int:
-        """Pictures per second of a video, in which a decision is seen and not what it takes."""
+        """Pictures per second of a video, one per decision."""
         return _FPS
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
@@ -95,7 +95,7 @@ class HighLevelTask:
     def nav(
         self, inner: oracle_maze.OracleMazeState | physics_maze.PhysicsMazeState
     ) -> task.Navigation:
-        """Returns where an episode stands."""
+        """Returns the episode's navigation state."""
         return inner.nav
 
     def qpos(
@@ -110,7 +110,7 @@ class HighLevelTask:
     def reward(
         self, final: episodes.Shown, reward: Float[np.ndarray, " N"]
     ) -> Float[np.ndarray, " N"]:
-        """Returns what is paid: what the environment pays."""
+        """Returns the environment's reward."""
         del final
         return reward
 
@@ -151,7 +151,7 @@ class HighLevelEnv(envs.SingleEnv):
           render_mode: "rgb_array" for pictures by `render`, see `drawing.snapshot`.
 
         Raises:
-          base.UserError: one of them is unknown or not as it should be.
+          base.UserError: an argument is unknown or out of its limits.
         """
         view = _view(extent, pixels, map_radius, knows)
         made = _make(maze, robot, movement, reward, num_decisions, low, view, anchored)
@@ -197,7 +197,7 @@ class HighLevelVectorEnv(envs.ParallelEnv):
           render_mode: see there.
 
         Raises:
-          base.UserError: one of them is unknown or not as it should be.
+          base.UserError: an argument is unknown or out of its limits.
         """
         view = _view(extent, pixels, map_radius, knows)
         made = _make(maze, robot, movement, reward, num_decisions, low, view, anchored)
@@ -205,7 +205,7 @@ class HighLevelVectorEnv(envs.ParallelEnv):
 
 
 def _view(extent: float, pixels: int, map_radius: int, knows: str) -> raster.View:
-    """Returns what is seen."""
+    """Returns size and channels of the observation."""
     checks.one_of("knows", knows, get_args(base.Knows))
     return raster.View(
         extent=extent, pixels=pixels, map_radius=map_radius, knows=cast(base.Knows, knows)
@@ -222,7 +222,7 @@ def _make(
     view: raster.View,
     anchored: bool,
 ) -> HighLevelTask:
-    """Builds the task; the words are checked by it."""
+    """Builds the task, which checks the arguments."""
     return HighLevelTask(
         robots.load(robot),
         places.HostMaze.load(maze, num_decisions),

@@ -1,6 +1,6 @@
 """A robot in a maze, one control step at a time, as an environment of Gymnasium.
 
-The task is that of `goal_maze`, and a learner is told what our baselines are told.
+The task is that of `goal_maze`; a learner observes what the baselines observe.
 
 Observation, form "flat": float32 [5 + P], P the robot's proprioception.
 
@@ -50,7 +50,7 @@ class MazeTask:
       maze: the maze.
       reward: sparse or dense.
       engine: physics engine.
-      observation: what an observation is.
+      observation: form of the observation, flat or goal.
     """
 
     robot: robot_lib.Robot
@@ -60,7 +60,7 @@ class MazeTask:
     observation: Form
 
     def __post_init__(self) -> None:
-        """Checks each, and whether they fit together."""
+        """Checks the arguments, each and together."""
         checks.one_of("reward", self.reward_kind, base.REWARDS)
         checks.one_of("engine", self.engine, base.ENGINES)
         checks.one_of("observation", self.observation, get_args(Form))
@@ -88,11 +88,11 @@ class MazeTask:
 
     @property
     def fps(self) -> int:
-        """Pictures per second in which a video shows it as fast as it is."""
+        """Pictures per second at which a video runs in real time."""
         return max(1, round(1.0 / self.robot.control_step))
 
     def nav(self, inner: goal_maze.GoalMazeState) -> task.Navigation:
-        """Returns where an episode stands."""
+        """Returns the episode's navigation state."""
         return inner.nav
 
     def qpos(self, inner: goal_maze.GoalMazeState) -> Float[Array, "N nq"]:
@@ -102,7 +102,7 @@ class MazeTask:
     def reward(
         self, final: episodes.Shown, reward: Float[np.ndarray, " N"]
     ) -> Float[np.ndarray, " N"]:
-        """Returns what is paid: what the environment pays, or what `compute_reward` says."""
+        """Returns the environment's reward, or with goals that of `compute_reward`."""
         if self.observation == "flat":
             return reward
         # Digit for digit what learners compute that put other goals in place of this one.
@@ -114,7 +114,7 @@ class MazeTask:
         desired_goal: Float[np.ndarray, "*n 2"],
         info: object = None,
     ) -> Float[np.ndarray, "*n"] | np.float32:
-        """Returns the reward of being somewhere when one wants to be somewhere else.
+        """Returns the reward of a place, given the desired one.
 
         Args:
           achieved_goal: x and y of the torso, from the maze's centre, units.
@@ -149,7 +149,7 @@ class MazeTask:
         """Checks that there is one goal.
 
         Raises:
-          base.UserError: it isn't so.
+          base.UserError: there are several.
         """
         if self.maze.num_goals != 1:
             raise base.UserError(
@@ -215,7 +215,7 @@ class MazeEnv(envs.SingleEnv):
           render_mode: "rgb_array" for pictures by `render`, see `drawing.snapshot`.
 
         Raises:
-          base.UserError: one of them is unknown or not as it should be.
+          base.UserError: an argument is unknown or out of its limits.
         """
         made = _make(maze, robot, reward, engine, num_decisions, observation)
         super().__init__(made, render_mode)
@@ -254,7 +254,7 @@ class MazeVectorEnv(envs.ParallelEnv):
           render_mode: see there.
 
         Raises:
-          base.UserError: one of them is unknown or not as it should be.
+          base.UserError: an argument is unknown or out of its limits.
         """
         made = _make(maze, robot, reward, engine, num_decisions, observation)
         super().__init__(made, num_envs, autoreset_mode, render_mode)
@@ -270,7 +270,7 @@ def _make(
     num_decisions: int | None,
     observation: str,
 ) -> MazeTask:
-    """Builds the task; the words are checked by it."""
+    """Builds the task, which checks the arguments."""
     return MazeTask(
         robots.load(robot),
         places.HostMaze.load(maze, num_decisions),

@@ -1,4 +1,4 @@
-"""Mazes before JAX is started, and what `reset` may be asked for: where to start, where to go."""
+"""Mazes on the host, and the starts and goals that `reset` may be given."""
 
 import functools
 import os
@@ -30,7 +30,7 @@ Options: TypeAlias = dict[str, Any]
 
 
 class Places(struct.PyTreeNode):
-    """Where N episodes are to be.
+    """The places of N episodes.
 
     Attributes:
       maze: int32 [N], rows of `HostMaze.stacked`.
@@ -111,7 +111,7 @@ def engine_of(robot: robot_lib.Robot, engine: base.EngineName) -> engine_lib.Eng
     """Returns the engine of a robot, which environments share: it keeps nothing of a step.
 
     Raises:
-      base.UserError: the robot is of no use.
+      base.UserError: the robot can't be simulated.
     """
     return engines.make(robot, engine)
 
@@ -120,7 +120,7 @@ def whole(name: str, value: object, most: int) -> int:
     """Returns a whole number from 1 on.
 
     Raises:
-      base.UserError: it is none, or more than `most`.
+      base.UserError: it isn't a whole number, or is above `most`.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise base.UserError(f"{name} = {value!r} must be a whole number")
@@ -132,7 +132,7 @@ def check_options(options: object, known: tuple[str, ...]) -> Options:
     """Returns the options of a reset, of which each must be known.
 
     Raises:
-      base.UserError: there are others, or it is no dict.
+      base.UserError: an option is unknown, or the options are no dict.
     """
     if options is None:
         return {}

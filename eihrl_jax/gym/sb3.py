@@ -27,7 +27,7 @@ class VecEnv(vec_env.VecEnv):
     """
 
     def __init__(self, parallel: envs.ParallelEnv):
-        """Takes robots whose next episode begins in the step that ends one.
+        """Wraps environments with autoreset mode SameStep.
 
         Raises:
           base.UserError: their mode is another one.
@@ -119,5 +119,5 @@ class VecEnv(vec_env.VecEnv):
 
 
 def _row(info: episodes.Info, i: int | np.integer) -> episodes.Info:
-    """Returns what is told of one row."""
+    """Returns the info of one row."""
     return {name: value[i].item() for name, value in info.items()}

@@ -20,7 +20,7 @@ from eihrl_jax.reporting import evaluations
 from eihrl_jax.robots import robot as robot_lib
 
 BEST = "best"
-"""What stands for the shipped high level that `evaluate` takes unless told otherwise."""
+"""Name for the high level that `evaluate` takes by default."""
 
 HIGH_STREAM = 0x6869_6768
 """Folded into a state's key for the high level's draws, which must not be those of the robot."""
@@ -61,7 +61,7 @@ def load(
 
 @dataclasses.dataclass(frozen=True)
 class LoadedHierarchy:
-    """A high level and a robot that walks for it.
+    """A high level, and a robot with its low level.
 
     Attributes:
       high: chooses directions.
@@ -100,7 +100,7 @@ class LoadedHierarchy:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LoadedMaze:
-    """Mazes in which a hierarchy acts by itself: `reset` and `step` are for `jit` and `vmap`.
+    """Mazes in which a hierarchy acts; `reset` and `step` work under `jit` and `vmap`.
 
     >>> both = load(robot="point").into("u", "s")
     >>> keys = jax.random.split(jax.random.key(0), 2)
@@ -110,9 +110,9 @@ class LoadedMaze:
     [1.0, 1.0]
 
     Attributes:
-      levels: what acts.
+      levels: both levels.
       mazes: in the order in which they were named.
-      env: the same environment for directions of one's own.
+      env: the same environment, with the direction as its action.
     """
 
     levels: LoadedHierarchy
@@ -173,14 +173,14 @@ class LoadedMaze:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Episode:
-    """One episode that is over.
+    """A finished episode.
 
     Attributes:
       success: achieved goals / total goals.
       num_decisions: that it took.
       has_fallen: whether the robot ever fell.
       recording: all of its moves.
-      robot: who moved.
+      robot: the robot.
     """
 
     success: float

@@ -1,4 +1,4 @@
-"""The examples of the pages on Gymnasium and Brax run, briefly, where their client is there."""
+"""The examples of the pages run, briefly, where their client is there."""
 
 import importlib.util
 import pathlib
@@ -9,11 +9,26 @@ import pytest
 
 from eihrl_jax.mazes import layouts
 
-DOCS = pathlib.Path(__file__).parents[2] / "docs"
-PAGES = {name: (DOCS / f"{name}.md").read_text() for name in ("brax", "gymnasium")}
+ROOT = pathlib.Path(__file__).parents[2]
+NAMES = (
+    "README",
+    "docs/brax",
+    "docs/gymnasium",
+    "docs/start",
+    "docs/theory",
+    "docs/tutorials/own_learner",
+)
+PAGES = {name: (ROOT / f"{name}.md").read_text() for name in NAMES}
+SLOW = ("ppo.train", "episode.save")
+"""What compiles or draws for a minute."""
+
 EXAMPLES = [
-    # Brax's PPO compiles for a minute.
-    pytest.param(name, text, marks=[pytest.mark.slow] * ("ppo.train" in text), id=f"{name}-{i}")
+    pytest.param(
+        name,
+        text,
+        marks=[pytest.mark.slow] * any(word in text for word in SLOW),
+        id=f"{name.removeprefix('docs/')}-{i}",
+    )
     for name, page in PAGES.items()
     for i, text in enumerate(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
 ]
@@ -36,7 +51,7 @@ def test_examples_run(name, example, tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_maze.txt").write_text(layouts.U)
-    small = re.search(r"```text\n(#####\n.*?)```", PAGES["gymnasium"], re.DOTALL)
+    small = re.search(r"```text\n(#####\n.*?)```", PAGES["docs/gymnasium"], re.DOTALL)
     (tmp_path / "u5.txt").write_text(small[1])
     # Learners stop at the first occasion after one step, which comes soon.
     short = re.sub(r"\.learn\([\d_]+\)", ".learn(1)", example)
@@ -47,4 +62,4 @@ def test_examples_run(name, example, tmp_path, monkeypatch):
     assert short != example or not re.search(r"\.learn\(|\.train\(|NUM_UPDATES", example)
     # Brax isn't as strict about types as the tests are.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        exec(compile(short, f"docs/{name}.md", "exec"), {})
+        exec(compile(short, f"{name}.md", "exec"), {})
