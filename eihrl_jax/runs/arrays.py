@@ -22,6 +22,8 @@ import jax
 import orbax.checkpoint as ocp
 from jaxtyping import PyTree
 
+from eihrl_jax.runs import stopping
+
 FOLDER = "arrays"
 """Name of the folder that Orbax writes."""
 
@@ -52,7 +54,8 @@ def write(folder: pathlib.Path, tree: PyTree) -> None:
         # Of its many threads and tasks each would print why it has failed, some a little later.
         with _unheard(), contextlib.redirect_stderr(io.StringIO()):
             try:
-                with _plain(folder) as plain, _checkpointer() as checkpointer:
+                # Its threads would go on, and complain, for a while after Ctrl-C.
+                with stopping.held_back(), _plain(folder) as plain, _checkpointer() as checkpointer:
                     checkpointer.save(plain / FOLDER, tree)
             except (OSError, ValueError) as error:
                 refused = _refusal(error, folder)

@@ -151,6 +151,9 @@ class RunFolder:
                 raise base.UserError(f"{gone}; put it back, or name another --run")
 
             if restored is None and (self.path / metrics_log.FILE).is_file():
+                if len(self._starts) == 1:  # this one: nobody knows of the others any more
+                    gone = f"but neither a checkpoint nor a readable {_STARTS}; put them back"
+                    raise base.UserError(f"{self.path} has metrics, {gone}, or name another --run")
                 print(f"{self.path} has no checkpoint yet: the run begins anew", file=sys.stderr)
             step = -1 if restored is None else restored[0]
             known = [start.get("metrics") for start in self._starts if start.get("step") == step]

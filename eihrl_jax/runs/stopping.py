@@ -32,9 +32,7 @@ def deferred() -> Iterator[Stop]:
     """
     stop = Stop()
     before = signal.getsignal(signal.SIGINT)
-    is_main = threading.current_thread() is threading.main_thread()
-    # A shell starts what runs in its background with Ctrl-C ignored.
-    if not is_main or before is None or before == signal.SIG_IGN:
+    if not _can_be_asked():
         yield stop
         return
 
@@ -50,3 +48,30 @@ def deferred() -> Iterator[Stop]:
         yield stop
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def held_back() -> Iterator[None]:
+    """Lets Ctrl-C wait for the end of the block, which is short and does what can't be left undone.
+
+    Outside of the main thread, and where a process ignores Ctrl-C, nothing changes.
+    """
+    if not _can_be_asked():
+        yield
+        return
+
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            signal.raise_signal(signal.SIGINT)
+
+
+def _can_be_asked() -> bool:
+    """Returns whether Ctrl-C comes to this thread, and to a handler that Python knows."""
+    is_main = threading.current_thread() is threading.main_thread()
+    # A shell starts what runs in its background with Ctrl-C ignored.
+    return is_main and signal.getsignal(signal.SIGINT) not in (None, signal.SIG_IGN)

@@ -46,8 +46,8 @@ _WORDS: dict[Name, str] = {
     "baseline": (
         "train-baseline --method hiro --robot point --maze u --num-decisions 4 --num-envs 2 "
         "--period 5 --periods-per-round 2 --capacity 2000 --high-capacity 400 --manager.hidden 16 "
-        "--controller.hidden 16 --num-eval-episodes 2 --log-rounds 5 --evaluate-every 20 "
-        "--checkpoint-every 10 --num-steps 1000 --resume --run"
+        "--controller.hidden 16 --num-eval-episodes 2 --log-rounds 5 --evaluate-every 10 "
+        "--checkpoint-every 5 --num-steps 2000 --resume --run"
     ),
     "evaluate": (
         "evaluate --mazes u --robot point --high uniform frontier shortest --movement oracle "

@@ -3,6 +3,7 @@
 import json
 import pathlib
 import shutil
+import signal
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ import pytest
 from flax import struct
 
 from eihrl_jax import base
-from eihrl_jax.runs import checkpoint
+from eihrl_jax.runs import checkpoint, stopping
 
 
 class State(struct.PyTreeNode):
@@ -176,3 +177,12 @@ def test_placement_follows_the_template(tmp_path):
     found = checkpoint.restore(tmp_path, state)[1]
     assert found["x"].sharding == sharding
     assert_equal(found, state)
+
+
+def test_ctrl_c_waits_until_arrays_are_written():
+    done = []
+    with pytest.raises(KeyboardInterrupt), stopping.held_back():
+        signal.raise_signal(signal.SIGINT)
+        done.append("written")
+    assert done == ["written"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -196,6 +196,8 @@ def test_a_refused_resume_touches_nothing(tmp_path):
         record(run, range(1, 4), save_at=(2,))
     shutil.rmtree(tmp_path / "run" / "checkpoints")
     check_refused(tmp_path, r"checkpoints holds none, .* step 2; put it back")
+    (tmp_path / "run" / "versions.json").write_text("3")
+    check_refused(tmp_path, r"neither a checkpoint nor a readable versions\.json; put them back")
 
 
 @pytest.mark.parametrize("name", [".incomplete-config.json", "metrics.csv", ".lock", "config.json"])
