@@ -43,7 +43,7 @@ def side_by_side(films: Sequence[Sequence[Frame]], num_frames: int) -> Iterator[
         yield page
 
 
-def resized(frame: Frame, width: int) -> Frame:
+def resized(frame: Frame, width: int) -> UInt8[np.ndarray, "height width 3"]:
     """Returns a picture of another width, height in proportion."""
     height = round(frame.shape[0] * width / frame.shape[1])
     image = Image.fromarray(frame).resize((width, height), Image.Resampling.LANCZOS)
