@@ -49,19 +49,15 @@ class DroqState(struct.PyTreeNode):
 class Droq:
     """The learner's functions for one size of observation and action; holds no state."""
 
-    def __init__(
-        self, num_features: int, num_actions: int, options: low_config.Droq, actor_rest: int = 0
-    ):
+    def __init__(self, num_features: int, num_actions: int, options: low_config.Droq):
         """Builds networks and optimisers.
 
         Args:
           num_features: size F of the network's input.
           num_actions: size A of the action.
           options: hyper-parameters.
-          actor_rest: critic updates before the actor's first one.
         """
         self.options = options
-        self._actor_rest = actor_rest
         self._num_features = num_features
         self._actor = networks.Actor(num_actions, options.hidden)
         self._critic = networks.Critic(options.hidden, options.dropout)
@@ -127,9 +123,8 @@ class Droq:
             nan = jnp.float32(jnp.nan)
             return state, {"actor_loss": nan, "entropy": nan}
 
-        is_due = state.num_updates % self.options.actor_period == 0
         state, actor_metrics = jax.lax.cond(
-            is_due & (state.num_updates > self._actor_rest),
+            state.num_updates % self.options.actor_period == 0,
             lambda state: self.update_actor(state, batch, actor_key),
             skip,
             state,

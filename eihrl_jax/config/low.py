@@ -110,9 +110,6 @@ class LowConfig:
       resume: continue the run that the folder holds.
       start_from: run folder of the same robot, input, networks, capacity and number of
         environments, with whose learner and replay this run begins; none: it begins anew.
-      actor_from: low level with whose actor the run begins, a shipped name or a folder, of the same
-        input and networks; its critics and its replay are new.
-      actor_rest: critic updates for which that actor stays as it is, while critics come to know it.
       robot: which robot is trained.
       engine: "mujoco" for the C engine on the processor, "mjx" for JAX on an accelerator.
       num_envs: environments that run at the same time, one robot in each.
@@ -150,8 +147,6 @@ class LowConfig:
     run: pathlib.Path = pathlib.Path("runs/low")
     resume: bool = False
     start_from: pathlib.Path | None = None
-    actor_from: str | None = None
-    actor_rest: limits.UpToMillion = 20_000
     robot: str = "ant"
     engine: base.EngineName = "mujoco"
     num_envs: Annotated[int, limits.Range(1, 2**16)] = 1
@@ -187,8 +182,6 @@ class LowConfig:
             "evaluate_every", self.evaluate_every, "checkpoint_every", self.checkpoint_every
         )
 
-        if self.start_from is not None and self.actor_from is not None:
-            raise base.UserError("start_from and actor_from exclude each other: give one, or none")
         if self.reward.fall_cost and not self.ends_at_fall:
             raise base.UserError(
                 f"fall_cost = {self.reward.fall_cost} is the price of a fall that ends an episode: "

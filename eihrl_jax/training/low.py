@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import json
 import pathlib
 
 import jax
@@ -10,7 +9,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Key
 
 from eihrl_jax import base
-from eihrl_jax.config import codec
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import postures, subgoals
 from eihrl_jax.runs import checkpoint, policies, run_folder
@@ -31,13 +29,11 @@ class _Job(loop.Job[LowState]):
       trainer: its compiled functions.
       config: its options.
       start: last state of the run with whose learner and replay this one begins, if any.
-      actor: parameters of the actor with which this one begins, if any.
     """
 
     trainer: LowTrainer
     config: low_config.LowConfig
     start: LowState | None
-    actor: base.Params | None
 
     @property
     def plan(self) -> loop.Plan:
@@ -92,11 +88,6 @@ class _Job(loop.Job[LowState]):
         if self.start is not None:
             # Not its robots nor its iterations: those are the new run's own.
             return state.replace(learner=self.start.learner, replay=self.start.replay)
-        if self.actor is not None:
-            # Two copies: the state's buffers are given away with it, each once.
-            actor, average = (jax.tree.map(jnp.array, self.actor) for _ in range(2))
-            learner = state.learner.replace(actor_params=actor, average_params=average)
-            state = state.replace(learner=learner)
         return self._filled(state)
 
     def _filled(self, state: LowState) -> LowState:
@@ -169,14 +160,11 @@ def train_with(
     Raises:
       base.UserError: the run folder is not as it should be.
     """
-    start = actor = None
+    start, checkpoints = None, config.run / run_folder.CHECKPOINTS
     # Once it is begun, the run goes on without the other.
-    if checkpoint.last_step(config.run / run_folder.CHECKPOINTS) is None:
-        if config.start_from is not None:
-            start = _load_start(trainer, config.start_from)
-        if config.actor_from is not None:
-            actor = _load_actor(trainer, config.actor_from)
-    loop.run(_Job(trainer, config, start, actor), config, watch)
+    if config.start_from is not None and checkpoint.last_step(checkpoints) is None:
+        start = _load_start(trainer, config.start_from)
+    loop.run(_Job(trainer, config, start), config, watch)
 
 
 def _load_start(trainer: LowTrainer, path: pathlib.Path) -> LowState:
@@ -200,26 +188,6 @@ def _load_start(trainer: LowTrainer, path: pathlib.Path) -> LowState:
             "model, its times or its range of controls have changed since"
         )
     return restored[1]
-
-
-def _load_actor(trainer: LowTrainer, name: str) -> base.Params:
-    """Loads the parameters of a low level with whose actor a run begins.
-
-    Raises:
-      base.UserError: there is none, it is damaged, or sees, has or moves something else.
-    """
-    path = policies.find(name, "low")
-    params, meta = policies.load(path, kind="low")
-    text = json.dumps(policies.entry(meta, "low_input", path))
-    theirs = codec.from_json(low_config.LowInput, text, source=f"{path}: low_input")
-    if theirs != trainer.config.low_input:
-        ours = trainer.config.low_input
-        raise base.UserError(f"actor_from = {name} sees by {theirs}, where the run has {ours}")
-
-    # Networks of other sizes are named with the parameter that doesn't fit.
-    shapes = jax.eval_shape(trainer.init, jax.random.key(0))
-    checkpoint.check_same(path, params, shapes.learner.actor_params)
-    return params
 
 
 def _numbers(metrics: loop.Metrics, prefix: str = "") -> dict[str, float]:

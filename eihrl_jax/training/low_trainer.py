@@ -68,8 +68,7 @@ class LowTrainer:
         # Sizes of the networks, without building a single robot.
         obs = jax.eval_shape(self._env.reset, jax.random.key(0)).obs
         self.num_features = jax.eval_shape(self._features, obs).shape[0]
-        rest = 0 if config.actor_from is None else config.actor_rest
-        self._learner = droq.Droq(self.num_features, self._num_actions, config.droq, rest)
+        self._learner = droq.Droq(self.num_features, self._num_actions, config.droq)
 
         # Each is compiled once for all runs that the trainer is used for.
         self.jit_init = jax.jit(self.init)

@@ -98,34 +98,6 @@ def test_starting_from_another_run_goes_on_learning(trainer, whole_run, tmp_path
     )
 
 
-def test_an_actor_of_another_run_rests_while_new_critics_come_to_know_it(whole_run, tmp_path):
-    params, _ = policies.load(policies.find(whole_run.run, "low"), kind="low")
-    # Two updates an iteration, every second one of the actor: the first after six iterations.
-    config = _config(tmp_path / "tuned", actor_from=str(whole_run.run), actor_rest=12)
-    trainer = low_trainer.LowTrainer(config)
-    for length, is_same in ((6, True), (9, False)):
-        low.train_with(
-            trainer, dataclasses.replace(config, num_iterations=length, resume=length > 6)
-        )
-        now, meta = policies.load(policies.find(config.run, "low"), kind="low")
-        same = jax.tree.map(lambda a, b: bool((a == b).all()), now, params)
-        assert jax.tree.all(same) == is_same and meta["num_updates"] == 2 * length
-
-
-def test_an_actor_that_does_not_fit_is_refused(whole_run, tmp_path):
-    options = {"actor_from": str(whole_run.run), "run": tmp_path / "first"}
-    for changes, message in (
-        ({"droq": dataclasses.replace(whole_run.droq, hidden=(8, 8))}, "Dense_0"),
-        ({"low_input": low_config.LowInput()}, "sees by LowInput"),
-        ({"actor_from": "pointt"}, "did you mean point"),
-    ):
-        with pytest.raises(base.UserError, match=message):
-            low.train(dataclasses.replace(whole_run, **options | changes))
-    with pytest.raises(base.UserError, match="exclude each other"):
-        _config(tmp_path, actor_from="point", start_from=tmp_path)
-    assert not (tmp_path / "first").exists()
-
-
 def test_start_that_does_not_fit_is_refused(whole_run, tmp_path):
     with pytest.raises(base.UserError, match="holds no checkpoint"):
         low.train(_config(tmp_path / "first", start_from=tmp_path))
