@@ -47,7 +47,7 @@ def save(path: pathlib.Path, endings: Sequence[Endings]) -> None:
     shapes = [item.maze.wall.shape for item in endings]
     ratio = np.clip(max(rows / columns for rows, columns in shapes), 0.4, 1.5)
     width = 5.4 if num_columns == 1 else 3.6
-    figure = figures.new(width * num_columns, (width * ratio + 0.5) * num_rows + 0.3)
+    figure = figures.new(width * num_columns, (width * ratio + 0.7) * num_rows + 0.3)
 
     for i, item in enumerate(endings):
         axes = figure.add_subplot(num_rows, num_columns, i + 1)
