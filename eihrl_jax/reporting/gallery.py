@@ -1,7 +1,5 @@
 """One robot in several mazes, side by side."""
 
-import pathlib
-
 from eihrl_jax import base
 from eihrl_jax.config import gallery as gallery_config
 from eihrl_jax.drawing import animation, film, montage
@@ -23,7 +21,7 @@ def draw(options: gallery_config.GalleryConfig) -> tuple[facade.Episode, ...]:
     mazes = hierarchy.into(*options.mazes)
     episodes = tuple(mazes.run(options.seed, maze) for maze in range(len(options.mazes)))
 
-    pathlib.Path(options.out).parent.mkdir(parents=True, exist_ok=True)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
     films = [_frames(episode, options.width) for episode in episodes]
     film.save(options.out, montage.side_by_side(films, options.num_frames))
     return episodes

@@ -3,7 +3,6 @@
 What it holds of the machine, memory, threads and open files, must not grow: `make soak`.
 """
 
-import ctypes
 import dataclasses
 import gc
 import json
@@ -30,7 +29,7 @@ from eihrl_jax.storage import writing
 MAX_GROWTH = 1.0
 """Per cent of its memory by which a process may grow in an hour, once it is warm."""
 
-_WARM = 0.5  # share of the rounds that count as warming up
+_WARM = 0.25  # share of the rounds that count as warming up
 _NUM_ENVS, _NUM_STEPS = 8, 200
 
 
@@ -158,5 +157,3 @@ def _round(folder: pathlib.Path, seed: int) -> None:
     # Programs are kept for as long as somebody could call them again; here nobody does.
     jax.clear_caches()
     gc.collect()
-    if hasattr(libc := ctypes.CDLL(None), "malloc_trim"):
-        libc.malloc_trim(0)  # what is free but kept for later isn't held
