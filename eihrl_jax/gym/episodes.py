@@ -256,7 +256,15 @@ class Rows:
             raise base.UserError(f"action of shape {shown} must have shape {wanted}")
         if is_index and not ((array >= 0) & (array < space.n)).all():
             raise base.UserError(f"action {array.tolist()} must be from 0 to {space.n - 1}")
-        return array.astype(np.int32 if is_index else np.float32)
+
+        with np.errstate(over="ignore"):  # what is beyond float32 becomes infinite
+            array = array.astype(np.int32 if is_index else np.float32)
+        if not np.isfinite(array).all():
+            # The simulation of a whole row would break down, and be counted as the policy's fault.
+            place, value = next((i, x) for i, x in np.ndenumerate(array) if not np.isfinite(x))
+            where = ", ".join(map(str, place[1:] if self.num == 1 else place))
+            raise base.UserError(f"action[{where}] = {value} must be a finite number")
+        return array
 
     def _mask(self, options: places.Options) -> np.ndarray | None:
         """Returns the rows that a reset concerns, None for all."""

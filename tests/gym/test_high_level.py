@@ -69,6 +69,7 @@ def test_bad_options_are_named(options, message):
     [
         (4, r"action \[4\] must be from 0 to 3"),
         (0.5, "action of type float64 must be whole numbers"),
+        (np.nan, "action of type float64 must be whole numbers"),
         ([1], r"action of shape \(1,\) must have shape \(\)"),
     ],
 )

@@ -282,6 +282,9 @@ def test_bad_resets_are_named(options, message):
         (np.zeros((2, 1)), r"action of shape \(2, 1\) must have shape \(2,\)"),
         (np.zeros(3), r"action of shape \(3,\) must have shape \(2,\)"),
         (["a", "b"], "action of type <U1 must be numbers"),
+        ([0.0, np.nan], r"action\[1\] = nan must be a finite number"),
+        ([-np.inf, 0.0], r"action\[0\] = -inf must be a finite number"),
+        ([1e300, 0.0], r"action\[0\] = inf must be a finite number"),
     ],
 )
 def test_bad_actions_are_named(action, message):
@@ -289,6 +292,20 @@ def test_bad_actions_are_named(action, message):
     env.reset(seed=0)
     with pytest.raises(base.UserError, match=message):
         env.step(action)
+
+
+def test_too_strong_an_action_is_the_strongest():
+    env, other = small(), small()
+    for each in (env, other):
+        each.reset(seed=0)
+    np.testing.assert_array_equal(env.step([9.0, -1.5])[0], other.step([1.0, -1.0])[0])
+
+
+def test_an_action_of_a_row_that_is_not_finite_is_named():
+    envs = MazeVectorEnv(2, "u", "point", num_decisions=2, observation="goal")
+    envs.reset(seed=0)
+    with pytest.raises(base.UserError, match=r"action\[1, 0\] = nan must be a finite number"):
+        envs.step(np.array([[0.0, 0.0], [np.nan, 0.0]]))
 
 
 def test_bad_masks_and_seeds_are_named():
