@@ -87,7 +87,7 @@ def _run(config: DatasetConfig, made: making.Made, folder: pathlib.Path) -> list
         try:
             for start, path in zip(starts, paths, strict=True):
                 if not path.is_file():
-                    parts.write(path, rows.run(config.seed + start))
+                    parts.write(path, rows.run(config.seed + start), config.seed + start)
                     progress.update(min(start + config.batch, total))
         except KeyboardInterrupt:
             done = sum(path.is_file() for path in paths) * config.batch

@@ -64,7 +64,7 @@ def write(
         # Minari misses an author, a link to code, and an expert's return.
         warnings.simplefilter("ignore", UserWarning)
         for file in files:
-            told = list(parts.read(file))[: num_episodes - done]
+            told = list(parts.read(file, first_seed + done))[: num_episodes - done]
             buffer = [_buffer(each, first_seed + done + i) for i, each in enumerate(told)]
             done += len(buffer)
             if dataset is None:

@@ -1,7 +1,6 @@
 """Finished episodes on disk, batch by batch, until all are there."""
 
 import pathlib
-import zipfile
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,12 +9,14 @@ import numpy as np
 
 from eihrl_jax import base
 from eihrl_jax.datasets import episodes
-from eihrl_jax.storage import writing
+from eihrl_jax.storage import archives
 
 Arrays = dict[str, np.ndarray]
 """What is told of an episode by name, "infos/qpos" for what is inside of a dict."""
 
-_LENGTHS = "lengths"
+_LENGTHS, _SEED = "lengths", "seed"
+_MAX_SIZE = 2**32  # bytes of a part
+
 _MOMENTS = ("observations", "infos")
 """What is told once more than there are steps: of the start, too."""
 
@@ -65,28 +66,30 @@ def _episode(first: episodes.Shown, steps: episodes.Steps) -> Arrays:
     )
 
 
-def write(path: pathlib.Path, told: list[Arrays]) -> None:
-    """Writes episodes to a file, which is there whole or not at all."""
-    arrays: dict[str, Any] = {
-        name: np.concatenate([each[name] for each in told]) for name in told[0]
-    }
+def write(path: pathlib.Path, told: list[Arrays], first_seed: int) -> None:
+    """Writes episodes, the first of a given seed, to a file that is there whole or not at all."""
+    arrays = {name: np.concatenate([each[name] for each in told]) for name in told[0]}
     arrays[_LENGTHS] = np.array([len(each["rewards"]) for each in told])
-    with writing.new_file(path) as file:
-        np.savez(file, **arrays)
+    arrays[_SEED] = np.array(first_seed)
+    archives.write(path, arrays)
 
 
-def read(path: pathlib.Path) -> Iterator[Arrays]:
+def read(path: pathlib.Path, first_seed: int) -> Iterator[Arrays]:
     """Returns the episodes of a file that `write` wrote.
 
     Raises:
-      base.UserError: it is damaged.
+      base.UserError: it is damaged, or of another seed.
     """
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        lengths = arrays.pop(_LENGTHS)
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        arrays = archives.read(path, limit=_MAX_SIZE)
+        lengths, seed = arrays.pop(_LENGTHS), arrays.pop(_SEED)
+    except (base.UserError, KeyError) as error:
         raise base.UserError(f"{path} is damaged; remove it, and --resume runs it again") from error
+    if seed != first_seed:
+        raise base.UserError(
+            f"{path} has the episodes of seed {seed}, not {first_seed}; remove it, and --resume "
+            "runs them"
+        )
 
     ends = {name: np.cumsum(lengths + (name.partition("/")[0] in _MOMENTS)) for name in arrays}
     for i in range(len(lengths)):

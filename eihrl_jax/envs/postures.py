@@ -4,10 +4,7 @@ The low level's trainer records a bank of them (paper, Sec. 3.2), so that oracle
 what the high level will see of the robot with physics.
 """
 
-import hashlib
-import io
 import pathlib
-import zipfile
 
 import jax
 import jax.numpy as jnp
@@ -20,16 +17,13 @@ from eihrl_jax import base
 from eihrl_jax.envs import raster
 from eihrl_jax.physics import kinematics, scene
 from eihrl_jax.robots import robot as robot_lib
-from eihrl_jax.storage import reading, writing
+from eihrl_jax.storage import archives
 
 _SPREAD = 0.4
 """How far synthetic joints go from the standing posture to their limits."""
 
 _TILT = 0.1
 """Standard deviation of a synthetic posture's roll and pitch, radians."""
-
-_CHECKSUM = 64
-"""Bytes of the checksum at the end of a bank's file: SHA-256 of all before it, in hexadecimal."""
 
 _CHUNK = 64
 """Silhouettes that are drawn at once; bounds memory."""
@@ -85,11 +79,8 @@ def synthetic(robot: robot_lib.Robot, num: int = 512, seed: int = 0) -> PostureB
 
 
 def save(bank: PostureBank, path: pathlib.Path, robot: robot_lib.Robot) -> None:
-    """Writes a bank as .npz with a checksum; what was at `path` is replaced whole or not at all."""
-    data = io.BytesIO()
-    np.savez_compressed(data, robot=np.array(robot.name), qpos=np.asarray(bank.qpos))
-    with writing.new_file(path) as file:
-        file.write(_sealed(data))
+    """Writes a bank, see `archives.write`."""
+    archives.write(path, {"robot": np.array(robot.name), "qpos": np.asarray(bank.qpos)})
 
 
 def load(path: pathlib.Path, robot: robot_lib.Robot) -> PostureBank:
@@ -99,17 +90,14 @@ def load(path: pathlib.Path, robot: robot_lib.Robot) -> PostureBank:
       base.UserError: the file is missing, damaged, or another robot's.
     """
     try:
-        data = reading.read_bytes(path)
+        arrays = archives.read(path)
+        name, qpos = str(arrays["robot"]), arrays["qpos"]
     except OSError as error:
         raise base.UserError(f"posture bank {path} can't be read: {error.strerror}") from None
-    # Before NumPy looks at it: a changed bit may still make an archive of other numbers.
-    if data[-_CHECKSUM:] != _checksum(data[:-_CHECKSUM]):
-        raise base.UserError(f"posture bank {path} is damaged, or from an earlier version")
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            name, qpos = str(arrays["robot"]), arrays["qpos"]
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-        raise base.UserError(f"posture bank {path} can't be read: {error}") from None
+    except KeyError as error:
+        raise base.UserError(f"posture bank {path} lacks {error}") from None
+    except base.UserError as error:
+        raise base.UserError(f"posture bank {error}") from None
 
     if name != robot.name:
         raise base.UserError(f"posture bank {path} is of robot {name!r}, expected {robot.name!r}")
@@ -121,19 +109,6 @@ def load(path: pathlib.Path, robot: robot_lib.Robot) -> PostureBank:
     if qpos.dtype != np.float32 or not np.isfinite(qpos).all():
         raise base.UserError(f"posture bank {path} must hold finite float32 numbers")
     return PostureBank(qpos=jnp.asarray(qpos).at[:, :2].set(0.0))
-
-
-def _sealed(archive: io.BytesIO) -> bytes:
-    """Returns a ZIP archive with its checksum as its last comment, which NumPy passes over."""
-    with zipfile.ZipFile(archive, "a") as file:
-        file.comment = bytes(_CHECKSUM)
-    body = archive.getvalue()[:-_CHECKSUM]
-    return body + _checksum(body)
-
-
-def _checksum(data: bytes) -> bytes:
-    """Returns the checksum of an archive without its comment."""
-    return hashlib.sha256(data).hexdigest().encode("ascii")
 
 
 def for_robot(robot: robot_lib.Robot) -> PostureBank:

@@ -4,6 +4,7 @@ MuJoCo reads whatever a file names, from wherever it says, and would wait for a 
 parser knows no entities but XML's own, and runs nothing.
 """
 
+import html
 import itertools
 import pathlib
 import re
@@ -72,7 +73,9 @@ def files(path: pathlib.Path) -> list[pathlib.Path]:
 
 def _inside(value: str) -> pathlib.PurePath:
     """Returns a name that an MJCF file has for another, which must not lead out of its folder."""
-    name = pathlib.PurePath(value)
+    # MuJoCo's parser puts in the characters that are told by their numbers, and MuJoCo itself takes
+    # either slash.
+    name = pathlib.PurePath(html.unescape(value).replace("\\", "/"))
     if name.is_absolute() or ".." in name.parts:
         raise base.UserError(
             f"it names {value!r:.80}: what belongs to a robot lies in its folder or below"

@@ -14,6 +14,7 @@ import pathlib
 import re
 import shutil
 import tempfile
+import textwrap
 import time
 from collections.abc import Iterator
 from typing import TypeVar
@@ -22,6 +23,7 @@ import jax
 import orbax.checkpoint as ocp
 from jaxtyping import PyTree
 
+from eihrl_jax import base
 from eihrl_jax.runs import stopping
 
 FOLDER = "arrays"
@@ -31,6 +33,8 @@ _SECONDS_OF_COMPLAINTS = 0.3
 _MISREAD = re.compile(r"[\[\]\\\udc80-\udcff]|:/")
 """What Orbax takes for a pattern, an escape or an address in a path, or can't take: no Unicode."""
 
+_UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, RuntimeError, MemoryError)
+"""What Orbax raises where checksums are right and the files make no sense all the same."""
 
 LeafT = TypeVar("LeafT")
 
@@ -73,13 +77,25 @@ def write(folder: pathlib.Path, tree: PyTree) -> None:
 
 
 def read(folder: pathlib.Path, template: PyTree) -> PyTree:
-    """Reads what `write` wrote, into the structure, types and places of a template."""
+    """Reads what `write` wrote, into the structure, types and places of a template.
+
+    Raises:
+      base.UserError: it makes no sense, or holds other arrays than the template.
+    """
     # Without arguments Orbax would ask for the devices that the arrays were saved from.
     template = jax.tree.map(_placed, template)
     restore_args = ocp.checkpoint_utils.construct_restore_args(template)
     arguments = ocp.args.PyTreeRestore(item=template, restore_args=restore_args)
-    with _checkpointer() as checkpointer, _plain(folder) as plain:
-        return checkpointer.restore(plain / FOLDER, args=arguments)
+    with _unheard(), _checkpointer() as checkpointer, _plain(folder) as plain:
+        try:
+            return checkpointer.restore(plain / FOLDER, args=arguments)
+        except _UNREADABLE as error:
+            reason = textwrap.shorten(f"{type(error).__name__}: {error}", 120)
+
+    # Tasks that were still waiting would each print that they can't go on.
+    with contextlib.redirect_stderr(io.StringIO()):
+        gc.collect()
+    raise base.UserError(f"{folder} holds arrays that can't be read: {reason}")
 
 
 def wait_for_all(name: str) -> None:

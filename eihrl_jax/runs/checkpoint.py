@@ -8,6 +8,7 @@ save left is removed by the next one. Nothing is ever unpickled.
 
 import hashlib
 import json
+import math
 import pathlib
 import shutil
 from collections.abc import Mapping
@@ -23,6 +24,9 @@ from eihrl_jax.storage import reading, writing
 
 KEEP = 2
 """Checkpoints kept in a run folder."""
+
+MAX_SIZE = 2**30
+"""Most bytes that arrays may have which are read as their manifest announces them."""
 
 _HIDDEN = writing.TEMPORARY  # begins no step, so `_steps` never sees it
 _FORMAT = 1  # of the manifest; counts up when an older reader would misread it
@@ -158,13 +162,14 @@ def read(path: pathlib.Path, template: PyTree = None) -> PyTree:
 
     Raises:
       StructureError: it holds other arrays than the template.
-      UserError: it is damaged.
+      UserError: it is damaged, or larger than `MAX_SIZE` without template.
     """
     # Before Orbax looks at it, so that the message names the file that is damaged.
     manifest = _manifest(path)
     _check_files(path, manifest["files"])
     if template is None:
         template = _nested(manifest["arrays"], path)
+        _check_size(template, path)
     _check_kinds(path, manifest["arrays"], describe(template))
 
     return arrays.read(path, template)
@@ -179,7 +184,7 @@ def read_file(path: pathlib.Path, name: str) -> str:
     files = _manifest(path)["files"]
     if name not in files:
         raise base.UserError(f"{path} has no {name}")
-    _check_file(path, name, files[name])
+    _check_file(path, name, files[name], _files(path))
     return reading.read_text(path / name)
 
 
@@ -256,19 +261,22 @@ def _manifest(path: pathlib.Path) -> dict[str, Any]:  # JSON
 
 
 def _check_files(path: pathlib.Path, files: dict[str, str]) -> None:
+    there = _files(path)
     for name, expected in files.items():
-        _check_file(path, name, expected)
+        _check_file(path, name, expected, there)
 
     # A foreign file among the arrays could be read by Orbax as one of them.
-    extra = sorted(_files(path).keys() - files.keys() - {_MANIFEST})
+    extra = sorted(there.keys() - files.keys() - {_MANIFEST})
     if extra:
         raise base.UserError(f"{path} is damaged: {extra[0]} is not in {_MANIFEST}")
 
 
-def _check_file(path: pathlib.Path, name: str, expected: str) -> None:
-    if not (path / name).is_file():
+def _check_file(
+    path: pathlib.Path, name: str, expected: str, there: Mapping[str, pathlib.Path]
+) -> None:
+    if name not in there:  # nor is what lies elsewhere, which a manifest could name as well
         raise base.UserError(f"{path} is damaged: {name} is missing")
-    checksum = _checksum(path / name)
+    checksum = _checksum(there[name])
     if checksum != expected:
         raise base.UserError(
             f"{path} is damaged: {name} has sha256 {checksum[:12]}, expected {expected[:12]}"
@@ -301,20 +309,41 @@ def _check_kinds(path: pathlib.Path, kinds: dict[str, str], expected: dict[str, 
 
 def _nested(arrays: dict[str, str], path: pathlib.Path) -> PyTree:
     """Builds nested dicts of abstract arrays from a manifest."""
-    tree: dict[str, Any] = {}  # Dicts in dicts, to any depth.
+    tree: dict[str, Any] = {}  # Dicts in dicts, as deep as files may be nested.
     for name, kind in arrays.items():
         *parents, last = name.split("/")
-        node = tree
-        for parent in parents:
-            node = node.setdefault(parent, {})
-
-        dtype, _, shape = kind.removesuffix("]").partition("[")
-        sizes = tuple(int(size) for size in shape.split(",") if size)
-        # Typed random keys have no NumPy type; only states of learners hold some.
         try:
-            node[last] = jax.ShapeDtypeStruct(sizes, np.dtype(dtype))
-        except TypeError:
+            node = tree
+            for parent in parents[: reading.MAX_DEPTH]:
+                node = node.setdefault(parent, {})
+            node[last] = _abstract(kind)
+        except TypeError:  # typed random keys: only states of learners hold some
             raise base.UserError(
-                f"{path} holds a learner's state, not parameters: {name} is {kind}"
+                f"{path} holds a learner's state, not parameters: {name:.80} is {kind:.80}"
+            ) from None
+        except (ValueError, AttributeError):
+            raise base.UserError(
+                f"{path} is damaged: {_MANIFEST} says that {name:.80} is {kind:.80}"
             ) from None
     return tree
+
+
+def _abstract(kind: str) -> jax.ShapeDtypeStruct:
+    """Undoes `_kind`.
+
+    Raises:
+      TypeError: NumPy has no such type.
+      ValueError: it is no shape.
+    """
+    dtype, _, shape = kind.removesuffix("]").partition("[")
+    sizes = tuple(int(size) for size in shape.split(",") if size)
+    if min(sizes, default=0) < 0:
+        raise ValueError(kind)
+    return jax.ShapeDtypeStruct(sizes, np.dtype(dtype))
+
+
+def _check_size(tree: PyTree, path: pathlib.Path) -> None:
+    """Checks that arrays that a manifest announces aren't too large."""
+    size = sum(math.prod(leaf.shape) * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
+    if size > MAX_SIZE:
+        raise base.UserError(f"{path} has arrays of {size} bytes, at most {MAX_SIZE}")

@@ -58,7 +58,7 @@ def locked(out: pathlib.Path) -> Iterator[None]:
         yield
     finally:
         # Unlinked while it is still locked, or another's new lock could be the one removed.
-        (out / LOCK).unlink()
+        (out / LOCK).unlink(missing_ok=True)
         os.close(lock)
         if not any(out.iterdir()):
             out.rmdir()
@@ -103,9 +103,10 @@ def take_lock(path: pathlib.Path) -> int:
     # On the open file, not by its existence: the system releases it when the process dies.
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     descriptor = os.open(path / LOCK, flags, 0o644)
-    try:
+    with contextlib.suppress(BlockingIOError, FileNotFoundError):
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        raise base.UserError(f"{path} is being written to by another process") from None
-    return descriptor
+        # Whoever held it may have removed it since it was opened, and a third may hold a new one.
+        if os.path.samestat(os.fstat(descriptor), (path / LOCK).lstat()):
+            return descriptor
+    os.close(descriptor)
+    raise base.UserError(f"{path} is being written to by another process")

@@ -88,7 +88,10 @@ def load(path: pathlib.Path, *, kind: Kind, robot: str | None = None) -> tuple[b
         raise base.UserError(
             f"{path} is a policy of robot {meta.get('robot')!r}, expected {robot!r}"
         )
-    params = checkpoint.read(path)["params"]
+    tree = checkpoint.read(path)
+    if "params" not in tree:
+        raise base.UserError(f"{path} is no policy: it has no parameters")
+    params = tree["params"]
     _check_finite(params, path)
     return params, meta
 

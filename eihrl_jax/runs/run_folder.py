@@ -95,6 +95,9 @@ class RunFolder:
         # Nothing is written before all that can be wrong has been looked at.
         path.mkdir(parents=True, exist_ok=True)
         run = cls(path, folders.take_lock(path))
+        if folders.check_free(path, resume=resume) != is_taken:
+            run.close()
+            raise base.UserError(f"{path} has been filled by another process just now")
         run._config, run._sources = text, sources or {}
         run._starts = [*read_starts(path), versions.describe()]
         if not is_taken:

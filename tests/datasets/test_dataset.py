@@ -60,15 +60,17 @@ def test_parts_hold_what_was_told(tmp_path):
         for num in (3, 1, 2)
     ]
     path = tmp_path / "part.npz"
-    parts.write(path, episodes)
-    for before, after in zip(episodes, parts.read(path), strict=True):
+    parts.write(path, episodes, 7)
+    for before, after in zip(episodes, parts.read(path, 7), strict=True):
         assert before.keys() == after.keys()
         for name, array in before.items():
             np.testing.assert_array_equal(array, after[name])
 
+    with pytest.raises(base.UserError, match=r"part\.npz has the episodes of seed 7, not 9"):
+        list(parts.read(path, 9))
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(base.UserError, match=r"part\.npz is damaged; remove it"):
-        list(parts.read(path))
+        list(parts.read(path, 7))
 
 
 def test_what_does_not_fit_is_one_line(monkeypatch):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import io
 
 import jax.numpy as jnp
 import mujoco
@@ -12,6 +11,7 @@ import pytest
 from eihrl_jax import base, robots
 from eihrl_jax.envs import postures, raster
 from eihrl_jax.physics import scene
+from eihrl_jax.storage import archives
 
 VIEW = raster.View()
 
@@ -119,26 +119,12 @@ def test_another_robots_bank_is_refused(tmp_path):
         postures.load(path, robots.load("point"))
 
 
-@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.98])
-def test_truncated_bank_is_refused(tmp_path, kept):
+def test_a_damaged_bank_is_named(tmp_path):
     ant, path = robots.load("ant"), tmp_path / "postures.npz"
     postures.save(bank_of(32), path, ant)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: kept if isinstance(kept, int) else int(kept * len(whole))])
+    path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(base.UserError, match=r"posture bank .*postures\.npz is damaged"):
         postures.load(path, ant)
-
-
-def test_flipped_bits_are_noticed(tmp_path):
-    ant, path = robots.load("ant"), tmp_path / "postures.npz"
-    postures.save(bank_of(32), path, ant)
-    whole = path.read_bytes()
-    for bit in np.random.default_rng(0).integers(0, 8 * len(whole), 50):
-        damaged = bytearray(whole)
-        damaged[bit // 8] ^= 1 << bit % 8
-        path.write_bytes(bytes(damaged))
-        with pytest.raises(base.UserError, match="is damaged"):
-            postures.load(path, ant)
 
 
 @pytest.mark.parametrize(
@@ -153,9 +139,7 @@ def test_flipped_bits_are_noticed(tmp_path):
 )
 def test_wrong_contents_are_refused(tmp_path, qpos, message):
     path = tmp_path / "postures.npz"
-    archive = io.BytesIO()
-    np.savez(archive, robot=np.array("ant"), qpos=qpos)
-    path.write_bytes(postures._sealed(archive))
+    archives.write(path, {"robot": np.array("ant"), "qpos": qpos})
     with pytest.raises(base.UserError, match=message):
         postures.load(path, robots.load("ant"))
 

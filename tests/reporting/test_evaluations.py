@@ -281,6 +281,19 @@ def test_a_folder_is_filled_by_one_process_at_a_time(tmp_path):
             pass
 
 
+def test_a_lock_that_was_removed_meanwhile_is_none(tmp_path, monkeypatch):
+    (tmp_path / folders.LOCK).touch()
+    flock = folders.fcntl.flock
+
+    def locked_late(descriptor, how):
+        (tmp_path / folders.LOCK).unlink()  # by the process that had it, which has just ended
+        flock(descriptor, how)
+
+    monkeypatch.setattr(folders.fcntl, "flock", locked_late)
+    with pytest.raises(base.UserError, match="being written to by another process"):
+        folders.take_lock(tmp_path)
+
+
 def test_policies_that_do_not_fit_are_refused(folder):
     with pytest.raises(base.UserError, match="expected 'ant'"):
         loading.load_low(str(folder / "low"), robots.load("ant"))

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from eihrl_jax import base
+from eihrl_jax.config import report as report_config
 from eihrl_jax.evaluation import results, tables
-from eihrl_jax.reporting import comparison, page
+from eihrl_jax.reporting import comparison, page, report
 
 ANT = results.Agent(robot="ant", movement="oracle", high="0", low=None)
 
@@ -146,3 +148,20 @@ def test_a_page_is_known_as_ours(tmp_path):
     page.write(tmp_path / "report.html", "t", "lead", ())
     (tmp_path / "other.html").write_text("<!doctype html>\n<title>precious</title>\n")
     assert page.is_ours(tmp_path / "report.html") and not page.is_ours(tmp_path / "other.html")
+
+
+def test_one_report_at_a_time_writes_to_a_folder(tmp_path, monkeypatch):
+    config = report_config.ReportConfig(parts=("own",), high=("uniform",), out=tmp_path / "out")
+    made = []
+
+    def write(config):
+        # Another one is started meanwhile.
+        with pytest.raises(base.UserError, match="out is being written to by another process"):
+            report.main(config)
+        made.append((config.out / "report.html").exists())
+        page.write(config.out / "report.html", "t", "lead", ())
+
+    monkeypatch.setattr(report, "_write", write)
+    report.main(config)
+    report.main(config)
+    assert made == [False, True] and [path.name for path in config.out.iterdir()] == ["report.html"]

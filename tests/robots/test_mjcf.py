@@ -19,6 +19,8 @@ def write(path, inside):
     "inside",
     [
         '<include file="../secret.xml"/>',
+        '<include file="&#46;&#x2E;/secret.xml"/>',
+        r'<include file="..\secret.xml"/>',
         "<include file='/etc/passwd'/>",
         '<compiler meshdir="../elsewhere"/>',
         '<asset><texture name="t" type="skybox" fileright="/dev/zero"/></asset>',

@@ -1,12 +1,15 @@
 """Files of strangers are read within limits, and our own are written whole and through no link."""
 
 import errno
+import io
 import os
+import zipfile
 
+import numpy as np
 import pytest
 
 from eihrl_jax import base
-from eihrl_jax.storage import reading, writing
+from eihrl_jax.storage import archives, reading, writing
 
 
 def test_bytes_and_texts_come_back(tmp_path):
@@ -110,3 +113,53 @@ def test_a_file_that_cannot_be_finished_leaves_the_old_one(tmp_path):
     with pytest.raises(OSError, match="No space left on device: '.*a'"):
         write_half()
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_archives_come_back_and_changed_bits_are_noticed(tmp_path):
+    path = tmp_path / "a.npz"
+    arrays = {"x/y": np.arange(60.0).reshape(2, 30), "name": np.array("ant")}
+    archives.write(path, arrays)
+    after = archives.read(path)
+    assert after.keys() == arrays.keys() and (after["x/y"] == arrays["x/y"]).all()
+
+    whole = path.read_bytes()
+    for bit in np.random.default_rng(0).integers(0, 8 * len(whole), 50):
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(bytes(damaged))
+        with pytest.raises(base.UserError, match="is damaged"):
+            archives.read(path)
+    for kept in (0, 10, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:kept])
+        with pytest.raises(base.UserError, match="is damaged"):
+            archives.read(path)
+
+
+def _npy(shape):
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        stream, {"descr": "<f4", "fortran_order": False, "shape": shape}
+    )
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (bytes(10_000), "has arrays of 10000 bytes, at most 1000"),
+        (_npy((10**15,)), "can't be read"),
+        (_npy((2,)), "can't be read"),
+        (b"x", "can't be read"),
+    ],
+)
+def test_an_archive_with_its_checksum_may_still_hold_too_much_or_nothing(
+    tmp_path, content, message
+):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("x.npy", content)
+        file.comment = bytes(64)
+    body = stream.getvalue()[:-64]
+    (tmp_path / "a.npz").write_bytes(body + archives._checksum(body))
+    with pytest.raises(base.UserError, match=message):
+        archives.read(tmp_path / "a.npz", limit=1_000)
