@@ -9,6 +9,7 @@ over the runs.
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,6 +19,8 @@ CONFIDENCE = 0.95
 NUM_BLOCKS = 5
 """The paper's percentages are multiples of 0.2 and its deviations those of blocks of 100 episodes,
 which points at five blocks."""
+
+_NUM_RESAMPLES = 10_000
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -152,6 +155,31 @@ def student(values: Float[np.ndarray, " N"], confidence: float = CONFIDENCE) -> 
     half = quantile * np.std(values, ddof=1) / math.sqrt(num)
     mean = np.mean(values)
     return float(mean - half), float(mean + half)
+
+
+def bootstrap(
+    strata: Sequence[Float[np.ndarray, " _"]], confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Computes the bootstrapped interval of the mean over strata, each of the same weight.
+
+    Args:
+      strata: independent values of each, e.g. one number per seed in each maze.
+      confidence: probability between the interval's ends.
+
+    Returns:
+      Lower and upper end, quantiles of the means of resamples.
+
+    Source: R. Agarwal et al., Deep reinforcement learning at the edge of the statistical precipice,
+      NeurIPS (2021), Sec. 4.1 (stratified bootstrap).
+    """
+    # The same numbers for the same values, whoever asks and when.
+    rng = np.random.default_rng(0)
+    means = np.zeros(_NUM_RESAMPLES)
+    for values in strata:
+        drawn = rng.integers(len(values), size=(_NUM_RESAMPLES, len(values)))
+        means += values[drawn].mean(1) / len(strata)
+    low, high = np.quantile(means, [(1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0])
+    return float(low), float(high)
 
 
 def over_runs(rates: Float[np.ndarray, " N"]) -> RunSpread:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.drawing import curves, figures
-from eihrl_jax.evaluation import paper, results, tables
+from eihrl_jax.evaluation import paper, results, statistics, tables
 from eihrl_jax.reporting import cached_runs, page
 
 _OURS = "ours, walking"
@@ -48,7 +48,7 @@ _STYLES = (_OURS, "ours, oracle", "flat DroQ", "HIGL", "HESS", paper.RAND_H, LON
 """Order in which lines are given to labels: those of one colour belong together."""
 
 _SPENT = 0.9
-"""Share of the greatest budget from which on a run's budget is spent: rows differ in length."""
+"""Share of the method's budget from which on a run's is spent: rows differ in length."""
 
 Curve = Float[np.ndarray, "N 2"]
 Read = Callable[[pathlib.Path, str], Curve]
@@ -76,7 +76,7 @@ class Task:
 
     @functools.cached_property
     def finished(self) -> dict[str, list[pathlib.Path]]:
-        """Metrics by label that have spent the greatest budget of them all.
+        """Metrics by label that have spent the method's budget, the greatest of its runs.
 
         What hasn't been evaluated near there yet is still being trained, and left out.
         """
@@ -88,9 +88,9 @@ class Task:
                     end = float(by_steps(file, f"{name}/success")[-1, 0])
                     ends.setdefault(label, {})[file] = end
 
-        spent = _SPENT * max((end for files in ends.values() for end in files.values()), default=0)
+        # Methods may have budgets of their own: each curve ends where its runs do.
         return {
-            label: [file for file, end in files.items() if end >= spent]
+            label: [file for file, end in files.items() if end >= _SPENT * max(files.values())]
             for label, files in ends.items()
         }
 
@@ -167,12 +167,15 @@ def section(
         at_the_end = [_at_the_end(*what, by_maze) for what, by_maze in ends.items()]
         at_the_end.append(_where_ours_is_reached(ends))
     return page.Section(
-        title="Learning at equal budgets (Figures 5 and 6)",
-        text="All are evaluated without exploration. The baselines walk while they learn. Our high "
-        "level learns moved by the oracle: a decision counts as the ant's 25 control steps, and "
-        "the low level with which it then walks was trained before, which isn't counted. Up to "
-        "300,000 control steps the baselines' schedules are shortened, and flat DroQ makes one "
-        "update per step where 20 are published (docs/baselines.md). "
+        title="Learning and its budgets (Figures 5 and 6)",
+        text="All are evaluated without exploration. Each method's curve ends with its budget of "
+        "control steps, which the tables tell. Bands and ranges are those of the seeds, which of "
+        "three seeds is the bootstrapped 95 % interval too; over all mazes it is bootstrapped from "
+        "each maze's seeds. The baselines walk while they learn. Our high level learns moved by "
+        "the oracle: a decision counts as the ant's 25 control steps, and the low level with which "
+        "it then walks was trained before, which isn't counted. Up to 300,000 control steps the "
+        "baselines' schedules are shortened, and flat DroQ makes one update per step where 20 are "
+        "published (docs/baselines.md). "
         f"{LONG}: the high levels of the other parts, with more workers and a greater budget.",
         tables=[table for table in at_the_end if table.rows],
         pictures=pictures,
@@ -180,15 +183,40 @@ def section(
 
 
 def _at_the_end(reward: base.Reward, y: str, ends: Ends) -> tables.Table:
-    """Compares the last evaluations of all methods, their mean and range over seeds."""
-    rows = [
-        [label, *(_spread(by_label.get(label), y) for by_label in ends.values())]
-        for label in (*LINES, paper.RAND_H)
-        if any(label in by_label for by_label in ends.values())
-    ]
-    steps = [float(end[:, 0].max()) for by_label in ends.values() for end in by_label.values()]
-    title = f"{_UNITS[y][0].capitalize()}, {reward} reward, after {_steps(steps)}"
-    return tables.Table(f"{title}: mean (range), seeds", ["method", *ends], rows)
+    """Compares the last evaluations of all methods, and tells when they were."""
+    rows = []
+    for label in (*LINES, paper.RAND_H):
+        here = {maze: by_label[label] for maze, by_label in ends.items() if label in by_label}
+        if here:
+            cells = [_spread(here.get(maze), y) for maze in ends]
+            over_all = _over_all([*here.values()], y) if len(here) == len(ends) else "-"
+            rows.append([label, *cells, over_all, _budgets(label, here)])
+    title = f"{_UNITS[y][0].capitalize()}, {reward} reward, at the end: mean (range), seeds"
+    return tables.Table(title, ["method", *ends, "all: mean [95 %]", "control steps"], rows)
+
+
+def _over_all(ends: Sequence[Curve], y: str) -> str:
+    """Writes the mean over mazes, each of the same weight, and its bootstrapped interval."""
+    _, scale, digits = _UNITS[y]
+    values = [scale * end[:, 1] for end in ends]
+    mean = f"{np.mean([each.mean() for each in values]):.{digits}f}"
+    # A seed that is alone in its maze says nothing of others.
+    if min(map(len, values)) == 1:
+        return mean
+    low, high = (f"{x:.{digits}f}" for x in statistics.bootstrap(values))
+    return f"{mean} [{low}, {high}]"
+
+
+def _budgets(label: str, ends: dict[str, Curve]) -> str:
+    """Writes how many control steps a method learned for, by maze where they differ."""
+    if label == paper.RAND_H:
+        return "none"
+    mazes_of: dict[str, list[str]] = {}
+    for maze, end in ends.items():
+        mazes_of.setdefault(_steps(end[:, 0].tolist()), []).append(maze)
+    if len(mazes_of) == 1:
+        return next(iter(mazes_of))
+    return "; ".join(f"{steps} in {', '.join(names)}" for steps, names in mazes_of.items())
 
 
 def _where_ours_is_reached(all_ends: dict[tuple[base.Reward, str], Ends]) -> tables.Table:
@@ -226,7 +254,7 @@ def _spread(end: Curve | None, y: str) -> str:
 def _steps(ends: Sequence[float]) -> str:
     """Writes how many control steps were spent, which differ by rows of metrics."""
     low, high = (f"{round(end):,}" for end in (min(ends), max(ends)))
-    return f"{high if low == high else f'{low} to {high}'} control steps"
+    return high if low == high else f"{low} to {high}"
 
 
 def _pictures(
@@ -247,7 +275,7 @@ def _pictures(
             curves.save_spread,
             path,
             drawn,
-            x_label=f"{axis} (budget: {budget})",
+            x_label=f"{axis} (budget: {budget} control steps)",
             y_label=label,
             y_scale=scale,
             has_log_x=True,

@@ -275,6 +275,19 @@ def test_many_goals_are_planned_for_as_each_alone():
         np.testing.assert_allclose(repeated[i], alone[0])
 
 
+def test_batches_are_led_as_one_plan_leads():
+    # Places are planned for a few at a time, each with its own goal's ways.
+    options = config.Landmarks(num_coverage=6, num_novel=1, pool=60, cutoff=-6.0, near=-2.0)
+    planner = landmarks.Planner(Goer(), CONTROLLER, options)
+    new = novelty.Novelty(2, options).init(jax.random.key(0))
+    pool = jax.random.uniform(jax.random.key(1), (60, 2), maxval=20.0)
+    goals = jax.random.uniform(jax.random.key(2), (60, 2), maxval=20.0)
+    batches = pool.reshape(3, 20, 2), goals.reshape(3, 20, 2)
+    led = jax.jit(planner.lead)(new, pool[None], *batches)
+    one = jax.jit(lambda: lead(planner, planner.graph(pool, new), pool, goals))()
+    np.testing.assert_allclose(led.reshape(60, 2), one)
+
+
 def test_the_first_landmark_is_among_the_nearest():
     pool, graph, _ = square()
     landmark_xy = graph.obs[graph.is_valid]

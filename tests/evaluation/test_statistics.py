@@ -75,3 +75,13 @@ def test_runs_are_summarised_within_zero_and_one():
     assert spread.high == 1.0
     assert spread.mean == pytest.approx(0.98666667)
     assert spread.std == pytest.approx(np.std([0.97, 1.0, 0.99], ddof=1))
+
+
+def test_the_bootstrap_agrees_with_scipy_and_weighs_strata_alike():
+    values = np.array([0.1, 0.4, 0.2, 0.9, 0.5, 0.3])
+    expected = stats.bootstrap((values,), np.mean, method="percentile", rng=1).confidence_interval
+    np.testing.assert_allclose(statistics.bootstrap([values]), expected, atol=0.02)
+    # Of three values the least one is all of a resample once in 27 times, so the interval is all.
+    assert statistics.bootstrap([np.array([0.0, 0.5, 1.0])]) == (0.0, 1.0)
+    low, high = statistics.bootstrap([np.zeros(3), np.array([1.0] * 9)])
+    assert low == pytest.approx(0.5) == high

@@ -1,4 +1,4 @@
-"""Learning at equal budgets: what is drawn, and against what."""
+"""Learning and its budgets: what is drawn, and against what."""
 
 import numpy as np
 import pytest
@@ -133,18 +133,18 @@ def test_every_task_that_a_baseline_learned_has_its_pictures(folders):
     ]
     assert all(picture.path.stat().st_size > 10_000 for picture in section.pictures)
     success, goals, dense_success, dense_reward, reached = section.tables
-    budget = "after 8,000 control steps: mean (range), seeds"
-    assert success.title == f"Success, %, sparse reward, {budget}"
-    assert goals.title == f"Goals reached per episode, sparse reward, {budget}"
+    ends = "at the end: mean (range), seeds"
+    assert success.title == f"Success, %, sparse reward, {ends}"
+    assert goals.title == f"Goals reached per episode, sparse reward, {ends}"
     assert success.rows == [
-        ["ours, walking", "80 (80 to 80), 1"],
-        ["ours, oracle", "90 (90 to 90), 1"],
-        ["HIGL", "40 (40 to 40), 2"],
-        ["RAND-H", "30 (30 to 30), 1"],
+        ["ours, walking", "80 (80 to 80), 1", "80", "8,000"],
+        ["ours, oracle", "90 (90 to 90), 1", "90", "8,000"],
+        ["HIGL", "40 (40 to 40), 2", "40 [40, 40]", "8,000"],
+        ["RAND-H", "30 (30 to 30), 1", "30", "none"],
     ]
-    assert goals.rows[2] == ["HIGL", "0.40 (0.40 to 0.40), 2"]
-    assert dense_success.rows == [["flat DroQ", "40 (40 to 40), 2"]]
-    assert dense_reward.rows == [["flat DroQ", "0.020 (0.020 to 0.020), 2"]]
+    assert goals.rows[2][1] == "0.40 (0.40 to 0.40), 2"
+    assert dense_success.rows[0][:2] == ["flat DroQ", "40 (40 to 40), 2"]
+    assert dense_reward.rows[0][:2] == ["flat DroQ", "0.020 (0.020 to 0.020), 2"]
     # RAND-H's return of 6 goals is made up.
     assert reached.rows == [
         [
@@ -185,7 +185,21 @@ def test_runs_that_have_not_spent_the_budget_are_left_out(folders, undrawn, text
     table = section.tables[0]
     assert ["HIGL", "40 (40 to 40), 2"] in [row[:2] for row in table.rows]
     assert ("HESS" in [row[0] for row in table.rows]) == ("4000" in text)  # alone in g1
-    assert table.header == ["method", "u", *(["g1"] if "4000" in text else [])]
+    assert table.header[:-2] == ["method", "u", *(["g1"] if "4000" in text else [])]
+
+
+def test_methods_have_budgets_of_their_own(folders, undrawn):
+    for name, factor, successes in (("u", 10, (0.2, 0.6)), ("s", 5, (0.4, 0.8))):
+        for seed, success in enumerate(successes):
+            run = folders / "baselines" / f"hess-{name}-{seed}"
+            run.mkdir()
+            text = f"step,success,episodes,eval/success,eval/reward,eval/return\n{factor * 1000}"
+            (run / "metrics.csv").write_text(f"{text},nan,2.0,{success},0.0,{success}\n")
+    section = baseline_curves.section(ours(folders), folders / "baselines", folders / "out")
+    rows = {row[0]: row[1:] for row in section.tables[0].rows}
+    assert rows["HIGL"] == ["40 (40 to 40), 2", "-", "-", "8,000"]
+    both = ["40 (20 to 60), 2", "60 (40 to 80), 2", "50 [30, 70]", "10,000 in u; 5,000 in s"]
+    assert rows["HESS"] == both
 
 
 def test_what_was_reached_before_an_episode_ended_has_no_place_on_their_axis(tmp_path):

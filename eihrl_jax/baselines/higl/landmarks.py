@@ -4,6 +4,7 @@ Kim et al. 2021, Landmark-guided subgoal generation in hierarchical reinforcemen
 """
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,9 @@ from eihrl_jax.baselines.actor_critic import ActorCriticState
 from eihrl_jax.baselines.higl import novelty, td3
 from eihrl_jax.config import higl as config_lib
 from eihrl_jax.ops import landmarks as ops
+
+_PLACES_AT_ONCE = 16
+"""Places that are planned for together; divides the batches of most options."""
 
 
 class Graph(struct.PyTreeNode):
@@ -153,8 +157,13 @@ class Planner:
             pool, obs, goal_xy = xs
             graph = self.graph(pool, novel)
             ways = self.ways(graph, goal_xy.reshape(-1, 2))
-            ways = ways.reshape(*goal_xy.shape[:2], -1)
-            return jax.lax.map(lambda xs: self.plan(graph, *xs), (obs, goal_xy, ways))
+
+            # A few at a time: what the targets of all places need at once leaves the caches.
+            places = obs.reshape(-1, obs.shape[-1]), goal_xy.reshape(-1, 2), ways
+            size = math.gcd(ways.shape[0], _PLACES_AT_ONCE)
+            places = jax.tree.map(lambda leaf: leaf.reshape(-1, size, leaf.shape[-1]), places)
+            planned = jax.lax.map(lambda xs: self.plan(graph, *xs), places)
+            return planned.reshape(goal_xy.shape)
 
         shared = jax.tree.map(
             lambda leaf: leaf.reshape(pools.shape[0], -1, *leaf.shape[1:]), (obs, goal_xy)
