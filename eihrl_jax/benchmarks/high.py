@@ -130,7 +130,7 @@ def episodes_rows(figures: part.Figures) -> part.Rows:
 def _rates(config: high_config.HighConfig, num_updates: int, repeats: int) -> part.Figures:
     """Returns decisions per second, `median` and `fastest` of some measurements."""
     agent = high.make_agent(high.make_env(config.task), config)
-    mesh = parallel.make_mesh(None, config.learner.num_workers)
+    mesh = parallel.make_mesh(None, num_workers=config.learner.num_workers)
     first = parallel.init(agent, config.seed, mesh)
     update = parallel.repeated_update(agent, num_updates, mesh).lower(first).compile()
 

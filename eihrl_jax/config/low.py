@@ -136,6 +136,12 @@ class LowConfig:
       evaluate_every: iterations between measurements of the subgoal statistics.
       checkpoint_every: iterations between checkpoints, a multiple of `evaluate_every`.
       num_postures: postures recorded at the end for the high level's pictures.
+      num_devices: devices of each process that share environments, replay and batches; None: as
+        many as can share them evenly, on CPU one, which uses all cores.
+      coordinator: host:port of process 0, for a run of several processes on one or more hosts;
+        "auto": found in the environment of the cluster.
+      num_processes: processes of the run.
+      process_id: number of this process, from 0.
 
     >>> from eihrl_jax.config import presets
     >>> presets.LOW["point"].robot
@@ -170,6 +176,10 @@ class LowConfig:
     evaluate_every: int = 10_000
     checkpoint_every: int = 20_000
     num_postures: limits.UpToMillion = 2048
+    num_devices: Annotated[int, limits.Range(1, 1024)] | None = None
+    coordinator: str | None = None
+    num_processes: int | None = None
+    process_id: int | None = None
 
     def __post_init__(self) -> None:
         """Checks how the options fit together."""

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,13 +21,8 @@ from eihrl_jax.runs import sources as runs_sources
 from eihrl_jax.training import loop, parallel, sources
 from eihrl_jax.training import metrics as metrics_lib
 
-_MAY_CHANGE = ("num_devices", "coordinator", "num_processes", "process_id")
-"""Options that may differ between the processes of a run, and when it goes on."""
-
 _EVALUATION_STREAM = 1
 """Folded into the seed's key for evaluation, whose draws must not be those of training."""
-
-TreeT = TypeVar("TreeT")
 
 
 def train(
@@ -56,7 +51,7 @@ def train(
     parallel.connect(config.coordinator, config.num_processes, config.process_id)
     env = make_env(config.task, config.seed)
     agent = make_agent(env, config)
-    mesh = parallel.make_mesh(config.num_devices, config.learner.num_workers)
+    mesh = parallel.make_mesh(config.num_devices, num_workers=config.learner.num_workers)
     evaluated_in: dict[str, base.Environment] = {"eval": in_use(env, config)}
     if with_physics is not None:
         evaluated_in["walking"] = with_physics
@@ -92,7 +87,7 @@ class _Job(loop.Job[LearnerState]):
             checkpoint_every=self.config.checkpoint_every,
             length_option="num_updates",
             # Not its length: the schedules of learning rate and entropy depend on it.
-            may_change=_MAY_CHANGE,
+            may_change=parallel.OPTIONS,
             shown={"success": "success", "entropy": "entropy"},
             unit="decisions",
             units_per_step=decisions_per_update(self.agent),
@@ -125,7 +120,7 @@ class _Job(loop.Job[LearnerState]):
             row = {}
             # `num_updates` only tells the draws apart; parameters are what is measured.
             for prefix, measure in measures.items():
-                means = summarise(measure(*_local((state.params, state.num_updates))))
+                means = summarise(measure(*parallel.local((state.params, state.num_updates))))
                 means["reward"] = means["return"] / means["decisions"]
                 row |= {f"{prefix}/{name}": value for name, value in means.items()}
             return row
@@ -153,7 +148,7 @@ class _Job(loop.Job[LearnerState]):
             _, _, counts = jax.vmap(collect, (None, 0))(params, keys)
             return jax.tree.map(jnp.sum, counts)
 
-        return jax.jit(measure).lower(*_local((state.params, state.num_updates))).compile()
+        return jax.jit(measure).lower(*parallel.local((state.params, state.num_updates))).compile()
 
     def row(self, state: LearnerState, metrics: loop.Metrics) -> dict[str, float]:
         """Returns means over the episodes that ended, and over the updates."""
@@ -288,8 +283,3 @@ def _mazes(task: high_config.Task, seed: int) -> mazes.Maze:
 def _title(task: high_config.Task) -> str:
     """Names what is trained in."""
     return f"{task.num_rooms} random rooms" if task.num_rooms else task.maze
-
-
-def _local(tree: TreeT) -> TreeT:
-    """Returns this process's first copy of arrays that are the same everywhere."""
-    return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)

@@ -14,7 +14,7 @@ from eihrl_jax.envs import postures, subgoals
 from eihrl_jax.runs import checkpoint, policies, run_folder
 from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.runs import sources as runs_sources
-from eihrl_jax.training import loop, sources
+from eihrl_jax.training import loop, parallel, sources
 from eihrl_jax.training.low_trainer import LowState, LowTrainer
 
 _NUM_PIECES = 20
@@ -45,7 +45,7 @@ class _Job(loop.Job[LowState]):
             evaluate_every=self.config.evaluate_every,
             checkpoint_every=self.config.checkpoint_every,
             length_option="num_iterations",
-            may_change=("num_iterations",),
+            may_change=("num_iterations", *parallel.OPTIONS),
             shown={
                 "eval/along_mean": "along",
                 "eval/lateral_std": "sideways std",
@@ -79,7 +79,8 @@ class _Job(loop.Job[LowState]):
         def evaluate(state: LowState, done: int) -> dict[str, float]:
             # By iteration, not by a counter: a run that goes on draws the same subgoals.
             key = jax.random.fold_in(self._keys[1], done)
-            return _numbers(measure(state.learner.average_params, key), "eval/")
+            params = parallel.local(state.learner.average_params)
+            return _numbers(measure(params, key), "eval/")
 
         return evaluate
 
@@ -87,7 +88,9 @@ class _Job(loop.Job[LowState]):
         """Takes over what another run has learned and stored, or stores random steps."""
         if self.start is not None:
             # Not its robots nor its iterations: those are the new run's own.
-            return state.replace(learner=self.start.learner, replay=self.start.replay)
+            return self.trainer.place(
+                state.replace(learner=self.start.learner, replay=self.start.replay)
+            )
         return self._filled(state)
 
     def _filled(self, state: LowState) -> LowState:
@@ -119,13 +122,14 @@ class _Job(loop.Job[LowState]):
 
     def finish(self, path: pathlib.Path, state: LowState) -> policies.Meta:
         """Records the posture bank, and measures the policy once more, longer."""
-        params = state.learner.average_params
+        params = parallel.local(state.learner.average_params)
         _, measure_key, posture_key = self._keys
         walk = functools.partial(self.trainer.roll, params)
         with progress_lib.Progress(f"{self.plan.title}: recording", 12, unit="subgoals") as bar:
             qpos, _ = walk(posture_key, 64, 12, bar)
         bank = postures.PostureBank(qpos=jnp.asarray(self.trainer.postures(qpos)))
-        postures.save(bank, path / "postures.npz", self.trainer.robot)
+        if jax.process_index() == 0:
+            postures.save(bank, path / "postures.npz", self.trainer.robot)
 
         with progress_lib.Progress(f"{self.plan.title}: measuring", 20, unit="subgoals") as bar:
             _, metrics = walk(measure_key, 256, 20, bar)
@@ -135,7 +139,8 @@ class _Job(loop.Job[LowState]):
 def train(config: low_config.LowConfig, watch: loop.Watch | None = None) -> None:
     """Trains a low level in a run folder, or goes on with a run that was stopped.
 
-    The run folder ends up with the policy, its subgoal statistics and the posture bank.
+    The run folder ends up with the policy, its subgoal statistics and the posture bank. In a run of
+    several processes all must call this; the first one writes.
 
     Args:
       config: the run's options.
@@ -144,6 +149,7 @@ def train(config: low_config.LowConfig, watch: loop.Watch | None = None) -> None
     Raises:
       base.UserError: an option or the run folder is not as it should be.
     """
+    parallel.connect(config.coordinator, config.num_processes, config.process_id)
     train_with(LowTrainer(config), config, watch)
 
 

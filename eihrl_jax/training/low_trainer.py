@@ -18,6 +18,7 @@ from eihrl_jax.envs import experience, locomotion, low_obs, subgoals, wrappers
 from eihrl_jax.ops import tree
 from eihrl_jax.physics import engines, scene
 from eihrl_jax.runs import progress as progress_lib
+from eihrl_jax.training import parallel
 
 
 class LowState(struct.PyTreeNode):
@@ -70,10 +71,29 @@ class LowTrainer:
         self.num_features = jax.eval_shape(self._features, obs).shape[0]
         self._learner = droq.Droq(self.num_features, self._num_actions, config.droq)
 
+        # Robots and the replay of their steps are spread over devices; XLA spreads what the learner
+        # computes of batches likewise, and takes the means of gradients.
+        num_devices = 1 if jax.default_backend() == "cpu" else None
+        self._mesh = parallel.make_mesh(
+            config.num_devices or num_devices,
+            num_envs=config.num_envs,
+            batch_size=config.droq.batch_size,
+        )
+        spread = self._shardings()
+        alike = jax.sharding.NamedSharding(self._mesh, jax.sharding.PartitionSpec())
+
         # Each is compiled once for all runs that the trainer is used for.
-        self.jit_init = jax.jit(self.init)
-        self.jit_warm_up = jax.jit(self.warm_up, donate_argnums=0, static_argnums=1)
-        self.jit_advance = jax.jit(self.advance, donate_argnums=0)
+        self.jit_init = jax.jit(self.init, out_shardings=spread)
+        self.jit_warm_up = jax.jit(
+            self.warm_up,
+            donate_argnums=0,
+            static_argnums=1,
+            in_shardings=(spread,),
+            out_shardings=spread,
+        )
+        self.jit_advance = jax.jit(
+            self.advance, donate_argnums=0, in_shardings=(spread,), out_shardings=(spread, alike)
+        )
         self.jit_measure = jax.jit(self.measure, static_argnums=(2, 3))
         self._jit_reset = jax.jit(jax.vmap(self._test_env.reset))
         self._jit_walk = jax.jit(self._walk)
@@ -81,14 +101,17 @@ class LowTrainer:
     def init(self, key: Key[Array, ""]) -> LowState:
         """Returns the state of a run that is about to start, nothing being stored yet."""
         key, learner_key, env_key = jax.random.split(key, 3)
-        envs = jax.vmap(self._env.reset)(jax.random.split(env_key, self.config.num_envs))
+        reset = parallel.over_devices(jax.vmap(self._env.reset), self._mesh)
+        envs = reset(jax.random.split(env_key, self.config.num_envs))
         ctrl = jnp.zeros((self.config.num_envs, self._num_actions))
 
         # The replay takes its rows' shapes from a step that is never made.
         stored = jax.eval_shape(self._step, envs, ctrl)[1]
         return LowState(
             learner=self._learner.init(learner_key),
-            replay=replay_lib.init(replay_lib.row(stored), self.config.capacity),
+            replay=replay_lib.init(
+                replay_lib.row(stored), self.config.capacity, self.config.num_envs
+            ),
             envs=envs,
             key=key,
             iteration=jnp.int32(0),
@@ -191,6 +214,20 @@ class LowTrainer:
             "num_actions": self._num_actions,
         }
 
+    def place(self, state: LowState) -> LowState:
+        """Returns a state whose robots and stored steps are spread over the run's devices."""
+        return jax.device_put(state, self._shardings())
+
+    def _shardings(self) -> LowState:
+        """Returns where the parts of a state are: each robot, and what it stored, on one device."""
+        shapes = jax.eval_shape(self.init, jax.random.key(0))
+        state = parallel.placed(self._mesh, shapes)
+        rows = parallel.placed(self._mesh, shapes.replay.rows, axis=1)
+        return state.replace(
+            envs=parallel.placed(self._mesh, shapes.envs, axis=0),
+            replay=state.replay.replace(rows=rows),
+        )
+
     def _features(self, obs: low_obs.LowObs) -> Float[Array, " F"]:
         return low_obs.features(obs, self.robot, self.config.low_input)
 
@@ -223,8 +260,15 @@ class LowTrainer:
         self, envs: base.EnvState, ctrl: Float[Array, "N nu"]
     ) -> tuple[base.EnvState, experience.Experience]:
         """Steps every environment, and returns what is to be stored of it."""
-        stepped = jax.vmap(self._env.step)(envs, ctrl)
-        return stepped, jax.vmap(experience.of_step)(envs, ctrl, stepped)
+
+        def step(
+            envs: base.EnvState, ctrl: Float[Array, "n nu"]
+        ) -> tuple[base.EnvState, experience.Experience]:
+            stepped = jax.vmap(self._env.step)(envs, ctrl)
+            return stepped, jax.vmap(experience.of_step)(envs, ctrl, stepped)
+
+        # Each device calls the physics for its own robots.
+        return parallel.over_devices(step, self._mesh)(envs, ctrl)
 
     def _draw(
         self, replay: replay_lib.Replay, num_batches: int, key: Key[Array, ""]
@@ -234,6 +278,7 @@ class LowTrainer:
         row_key, direction_key, share_key = jax.random.split(key, 3)
         shape = (num_batches, self.config.droq.batch_size)
         rows = replay_lib.sample(replay, shape, row_key)
+        rows = jax.lax.with_sharding_constraint(rows, parallel.placed(self._mesh, rows, axis=1))
 
         if self.config.relabel != "never":
             direction = jax.random.randint(direction_key, shape, 0, base.NUM_DIRECTIONS)

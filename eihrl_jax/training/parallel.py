@@ -1,11 +1,13 @@
-"""Workers spread over devices and hosts: one mesh axis, `shard_map`, JAX's own distributed runtime.
+"""Work spread over devices and hosts: one mesh axis, `shard_map`, JAX's own distributed runtime.
 
 On CPU, XLA runs the many small operations of a rollout on one core; with as many CPU devices as
 cores (`use_cpu_cores`) every core runs its own share of the workers.
 """
 
+import math
 import os
-from typing import Any, cast
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
 
 import jax
 import numpy as np
@@ -14,6 +16,9 @@ from jaxtyping import Array, Float
 
 from eihrl_jax import base
 from eihrl_jax.agents import peg_a2c
+
+OPTIONS = ("num_devices", "coordinator", "num_processes", "process_id")
+"""Options that may differ between the processes of a run, and when it goes on."""
 
 # `Any`: a spec stands where the state's annotations have an array.
 _ALIKE = cast(Any, PartitionSpec())
@@ -27,6 +32,9 @@ SPECS = peg_a2c.LearnerState(
     num_decisions=_ALIKE,
 )
 """Which parts of a learner's state are spread over devices: what belongs to one worker."""
+
+TreeT = TypeVar("TreeT")
+OutT = TypeVar("OutT")
 
 
 def use_cpu_cores() -> None:
@@ -70,27 +78,29 @@ def connect(
     jax.distributed.initialize(coordinator, num_processes, process_id)
 
 
-def make_mesh(num_devices: int | None, num_workers: int) -> jax.sharding.Mesh:
-    """Lays the devices of all processes along one axis over which workers are spread.
+def make_mesh(num_devices: int | None, **shared: int) -> jax.sharding.Mesh:
+    """Lays the devices of all processes along one axis over which a run's work is spread.
 
     Args:
-      num_devices: devices to use of each process; None: as many as can share the workers evenly.
-      num_workers: workers of the run.
+      num_devices: devices to use of each process; None: as many as can share the work evenly.
+      **shared: what they share, by the name of its option.
 
     Raises:
-      UserError: there are fewer devices, or they can't share the workers evenly.
+      UserError: there are fewer devices, or they can't share the work evenly.
     """
     there, processes = jax.local_device_count(), jax.process_count()
     if num_devices is None:
-        even = [num for num in range(1, there + 1) if num_workers % (num * processes) == 0]
+        common = math.gcd(*shared.values())
+        even = [num for num in range(1, there + 1) if common % (num * processes) == 0]
         num_devices = max(even, default=1)
     if num_devices > there:
         raise base.UserError(f"num_devices = {num_devices} must be at most {there}, all there are")
-    if num_workers % (num_devices * processes):
-        raise base.UserError(
-            f"num_workers = {num_workers} must be a multiple of the {num_devices * processes} "
-            "devices that share them"
-        )
+    for name, number in shared.items():
+        if number % (num_devices * processes):
+            raise base.UserError(
+                f"{name} = {number} must be a multiple of the {num_devices * processes} "
+                "devices that share them"
+            )
 
     # Process by process, so that a process's workers lie next to each other.
     devices = [
@@ -128,6 +138,31 @@ def repeated_update(agent: peg_a2c.PegA2C, num: int, mesh: jax.sharding.Mesh) ->
     # device, and everything would be compiled twice.
     shardings = (_shardings(mesh), jax.sharding.NamedSharding(mesh, _ALIKE))
     return jax.jit(sharded, donate_argnums=0, out_shardings=shardings)
+
+
+def over_devices(function: Callable[..., OutT], mesh: jax.sharding.Mesh) -> Callable[..., OutT]:
+    """Returns a function of which each device computes its share of the leading axes."""
+    if mesh.size == 1:
+        return function
+    spec = PartitionSpec(peg_a2c.AXIS)
+    return jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+
+
+def placed(mesh: jax.sharding.Mesh, tree: TreeT, axis: int | None = None) -> TreeT:
+    """Returns a pytree like `tree` that says where its leaves are.
+
+    Args:
+      mesh: of `make_mesh`.
+      tree: of arrays, real or abstract.
+      axis: by which all of them are spread over the devices; None: every device has all.
+    """
+    spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, peg_a2c.AXIS)
+    return jax.tree.map(lambda _: jax.sharding.NamedSharding(mesh, spec), tree)
+
+
+def local(tree: TreeT) -> TreeT:
+    """Returns this process's first copy of arrays that are the same everywhere."""
+    return jax.tree.map(lambda leaf: leaf.addressable_data(0), tree)
 
 
 def _shardings(mesh: jax.sharding.Mesh) -> peg_a2c.LearnerState:

@@ -1,4 +1,4 @@
-"""Workers over devices and over processes: the updates are those of one device."""
+"""Training over devices and over processes: the updates are those of one device."""
 
 import os
 import pathlib
@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from eihrl_jax import base
-from eihrl_jax.training import parallel
+from eihrl_jax.config import low as low_config
+from eihrl_jax.training import low_trainer, parallel
 from tests.agents import test_peg_a2c
 
 NUM_UPDATES = 4
@@ -26,24 +27,65 @@ from tests.training import test_parallel
 
 parallel.connect(sys.argv[1], 2, int(sys.argv[2]))
 assert jax.device_count() == 2 and jax.local_device_count() == 1
-state = test_parallel.train(None)
-leaves = jax.tree.leaves(state.params)
-np.savez(sys.argv[3], *(leaf.addressable_data(0) for leaf in leaves))
+leaves = [*test_parallel.parameters(None), *test_parallel.low_parameters()]
+np.savez(sys.argv[3], *leaves)
 """
 
 
 def train(num_devices):
-    """Makes a few updates with the workers spread over so many devices of each process."""
+    """Makes a few updates of a high level, workers spread over so many devices of each process."""
     agent = test_peg_a2c.make(window=2)
-    mesh = parallel.make_mesh(num_devices, test_peg_a2c.NUM_WORKERS)
+    mesh = parallel.make_mesh(num_devices, num_workers=test_peg_a2c.NUM_WORKERS)
     update = parallel.repeated_update(agent, NUM_UPDATES, mesh)
     state, _ = update(parallel.init(agent, 0, mesh))
     return state
 
 
+def parameters(num_devices):
+    """Returns a high level's parameters after a few updates."""
+    return jax.tree.leaves(parallel.local(train(num_devices).params))
+
+
+def train_low(num_devices=None):
+    """Lets a low level's robots take a few steps, and learns from them."""
+    config = low_config.LowConfig(
+        robot="point",
+        num_envs=8,
+        num_iterations=1,
+        updates_per_iteration=2,
+        capacity=64,
+        droq=low_config.Droq(hidden=(16, 16), actor_period=2, batch_size=16),
+        log_every=1,
+        evaluate_every=1,
+        checkpoint_every=1,
+        num_devices=num_devices,
+    )
+    trainer = low_trainer.LowTrainer(config)
+    state = trainer.jit_warm_up(trainer.jit_init(jax.random.key(0)), 3)
+    return trainer.jit_advance(state)[0]
+
+
+def low_parameters():
+    """Returns all parameters of a low level that has learned."""
+    return jax.tree.leaves(parallel.local(train_low().learner))
+
+
 @pytest.fixture(scope="module")
 def alone():
     return train(1)
+
+
+@pytest.fixture(scope="module")
+def low_alone():
+    return train_low(1)
+
+
+def test_eight_devices_train_the_low_level_of_one(low_alone):
+    spread = train_low(8)
+    for place in (spread.replay.rows.sharding, jax.tree.leaves(spread.envs)[0].sharding):
+        assert len(place.device_set) == 8 and not place.is_fully_replicated
+    assert_close(jax.tree.leaves(spread.learner), jax.tree.leaves(low_alone.learner))
+    assert_close([spread.replay.rows], [low_alone.replay.rows])
 
 
 def test_eight_devices_make_the_updates_of_one(alone):
@@ -59,7 +101,7 @@ def test_eight_devices_make_the_updates_of_one(alone):
             np.testing.assert_array_equal(copy, copies[0])
 
 
-def test_two_processes_make_the_updates_of_one(alone, tmp_path):
+def test_two_processes_make_the_updates_of_one(alone, low_alone, tmp_path):
     with socket.socket() as free:
         free.bind(("localhost", 0))
         coordinator = f"localhost:{free.getsockname()[1]}"
@@ -80,7 +122,7 @@ def test_two_processes_make_the_updates_of_one(alone, tmp_path):
     first, second = (list(np.load(tmp_path / f"{i}.npz").values()) for i in range(2))
     for left, right in zip(first, second, strict=True):
         np.testing.assert_array_equal(left, right)
-    assert_close(first, jax.tree.leaves(alone.params))
+    assert_close(first, jax.tree.leaves((alone.params, low_alone.learner)))
 
 
 def assert_close(actual, expected):
@@ -90,9 +132,10 @@ def assert_close(actual, expected):
 
 
 def test_as_many_devices_as_can_share_the_workers_evenly():
-    assert parallel.make_mesh(None, 64).size == 8
-    assert parallel.make_mesh(None, 12).size == 6
-    assert parallel.make_mesh(3, 12).size == 3
+    assert parallel.make_mesh(None, num_workers=64).size == 8
+    assert parallel.make_mesh(None, num_workers=12).size == 6
+    assert parallel.make_mesh(None, num_envs=12, batch_size=32).size == 4
+    assert parallel.make_mesh(3, num_workers=12).size == 3
 
 
 @pytest.mark.parametrize(
@@ -104,7 +147,7 @@ def test_as_many_devices_as_can_share_the_workers_evenly():
 )
 def test_devices_that_do_not_fit(num_devices, num_workers, message):
     with pytest.raises(base.UserError, match=message):
-        parallel.make_mesh(num_devices, num_workers)
+        parallel.make_mesh(num_devices, num_workers=num_workers)
 
 
 @pytest.mark.parametrize(
