@@ -5,7 +5,9 @@ import functools
 import json
 import pathlib
 import shutil
-from collections.abc import Callable
+import sys
+import time
+from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 from eihrl_jax import base
@@ -16,7 +18,7 @@ from eihrl_jax.config import high as high_config
 from eihrl_jax.config import low as low_config
 from eihrl_jax.evaluation import results
 from eihrl_jax.reporting import evaluations
-from eihrl_jax.runs import checkpoint, policies
+from eihrl_jax.runs import checkpoint, folders, policies
 from eihrl_jax.storage import reading
 
 Run = low_config.LowConfig | high_config.HighConfig | baselines_config.BaselineConfig
@@ -24,6 +26,9 @@ RunT = TypeVar("RunT", bound=Run)
 
 MAZES = ("random", "u", "s", "spiral")
 """Mazes that the paper trains in (Tables 1 to 3, Figures 5 and 6)."""
+
+_SECONDS_BETWEEN_LOOKS = 10.0
+"""After which a process that has nothing else to do looks whether another one was killed."""
 
 
 def task(maze: str, reward: base.Reward) -> str:
@@ -58,9 +63,37 @@ def finish(options: RunT, train: Callable[[RunT], object]) -> None:
 
     Raises:
       base.UserError: it has been done with other options.
+      folders.TakenError: another process is at it.
     """
     if not is_finished(options):
+        folders.check_unlocked(options.run)  # before anything is compiled
         train(options)
+
+
+def share(jobs: Iterable[Callable[[], object]]) -> None:
+    """Does jobs one after the other, those that another process is at last of all.
+
+    So a command that is started several times with one folder, on one or several hosts, shares its
+    runs among its processes. What a killed process leaves, another one goes on with.
+
+    Args:
+      jobs: each does nothing if it has been done, and raises `folders.TakenError` while another
+        process does it.
+    """
+    left, is_told = list(jobs), False
+    while left:
+        taken = []
+        for job in left:
+            try:
+                job()
+            except folders.TakenError:
+                taken.append(job)
+        if len(taken) == len(left):
+            if not is_told:
+                print(f"waiting for {len(taken)} of other processes", file=sys.stderr)
+            is_told = True
+            time.sleep(_SECONDS_BETWEEN_LOOKS)
+        left = taken
 
 
 def is_finished(options: Run) -> bool:
@@ -101,13 +134,11 @@ def evaluated(options: evaluate_config.EvaluateConfig) -> tuple[results.Cell, ..
 
     Raises:
       base.UserError: they are there, with other options.
+      folders.TakenError: another process is at it.
     """
     if not options.out.exists():
-        # Under another name until it is complete: what a kill leaves there is begun anew.
-        partial = options.out.with_name(f"{options.out.name}.incomplete")
-        shutil.rmtree(partial, ignore_errors=True)
-        evaluations.evaluate(dataclasses.replace(options, out=partial))
-        partial.rename(options.out)
+        with folders.locked(options.out.with_name(f"{options.out.name}.lock")):
+            _evaluate(options)
 
     evaluation = results.load(options.out / "eval.json")
     asked = json.loads(codec.to_json(options))
@@ -117,3 +148,14 @@ def evaluated(options: evaluate_config.EvaluateConfig) -> tuple[results.Cell, ..
     if {**default, **about.get("config", {}), "out": ""} != {**asked, "out": ""}:
         raise base.UserError(f"{options.out} was evaluated with other options: name another --out")
     return evaluation.cells
+
+
+def _evaluate(options: evaluate_config.EvaluateConfig) -> None:
+    """Makes an evaluation, unless another process has made it since."""
+    if options.out.exists():
+        return
+    # Under another name until it is complete: what a kill leaves there is begun anew.
+    partial = options.out.with_name(f"{options.out.name}.incomplete")
+    shutil.rmtree(partial, ignore_errors=True)
+    evaluations.evaluate(dataclasses.replace(options, out=partial))
+    partial.rename(options.out)

@@ -16,6 +16,10 @@ UNFINISHED = f"{writing.TEMPORARY}task"
 """Name of the file that says what a folder was being filled with when its process was killed."""
 
 
+class TakenError(base.UserError):
+    """Another process is writing to a folder."""
+
+
 @contextlib.contextmanager
 def reserved(out: pathlib.Path, task: str = "") -> Iterator[None]:
     """Makes a folder and keeps other processes out of it, so that nothing can be overwritten.
@@ -50,7 +54,7 @@ def locked(out: pathlib.Path) -> Iterator[None]:
     A folder that is empty at the end is removed.
 
     Raises:
-      base.UserError: another process is writing to it.
+      TakenError: another process is writing to it.
     """
     out.mkdir(parents=True, exist_ok=True)
     lock = take_lock(out)
@@ -99,7 +103,11 @@ def holds_something(path: pathlib.Path) -> bool:
 
 
 def take_lock(path: pathlib.Path) -> int:
-    """Locks the folder for as long as this process lives; a kill gives the lock back."""
+    """Locks the folder for as long as this process lives; a kill gives the lock back.
+
+    Raises:
+      TakenError: another process has it.
+    """
     # On the open file, not by its existence: the system releases it when the process dies.
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     descriptor = os.open(path / LOCK, flags, 0o644)
@@ -109,4 +117,14 @@ def take_lock(path: pathlib.Path) -> int:
         if os.path.samestat(os.fstat(descriptor), (path / LOCK).lstat()):
             return descriptor
     os.close(descriptor)
-    raise base.UserError(f"{path} is being written to by another process")
+    raise TakenError(f"{path} is being written to by another process")
+
+
+def check_unlocked(path: pathlib.Path) -> None:
+    """Checks that no other process is writing to a folder, which needn't be there.
+
+    Raises:
+      TakenError: one is.
+    """
+    if (path / LOCK).exists():
+        os.close(take_lock(path))

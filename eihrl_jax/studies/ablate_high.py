@@ -1,5 +1,6 @@
 """Measures what epsilon, postures and workers give: `python -m experiments.ablate_high`."""
 
+import functools
 import pathlib
 from typing import Annotated
 
@@ -98,8 +99,10 @@ def main(config: AblationConfig) -> None:
 
     # Seed by seed and variant by variant, so that an early stop leaves something to compare.
     runs.train(chosen, high.train)
-    for variant in (*chosen, _reference(config.preset)):
-        cached_runs.evaluated(_evaluation(config, runs, variant))
+    cached_runs.share(
+        functools.partial(cached_runs.evaluated, _evaluation(config, runs, variant))
+        for variant in (*chosen, _reference(config.preset))
+    )
 
     table = compare(config)
     writing.write_text(config.out / "table.md", table)

@@ -1,6 +1,7 @@
 """Trainings of a preset with one thing changed at a time, each with several seeds."""
 
 import dataclasses
+import functools
 import itertools
 import pathlib
 import re
@@ -39,9 +40,11 @@ class Ablation(Generic[RunT]):
         return [self.options(variant, seed) for seed in self.seeds]
 
     def train(self, variants: Iterable[str], train: Callable[[RunT], object]) -> None:
-        """Trains what isn't finished, the first seed of everything first."""
-        for seed, variant in itertools.product(self.seeds, variants):
-            cached_runs.finish(self.options(variant, seed), train)
+        """Trains what isn't finished, the first seed of everything first, see `share`."""
+        cached_runs.share(
+            functools.partial(cached_runs.finish, self.options(variant, seed), train)
+            for seed, variant in itertools.product(self.seeds, variants)
+        )
 
     def finished(self) -> dict[str, list[pathlib.Path]]:
         """Returns the metrics of all finished runs by variant; no variant without any."""

@@ -113,8 +113,7 @@ def main(config: CompareConfig) -> None:
     tasks = itertools.product(config.seeds, config.rewards, config.mazes, config.methods)
     runs = [Run(method, maze, reward, seed) for seed, reward, maze, method in tasks]
     # Options are made, and so checked, before the first run begins.
-    for make in [_checked(config, run) for run in runs]:
-        make()
+    cached_runs.share([_checked(config, run) for run in runs])
 
 
 def _checked(config: CompareConfig, run: Run) -> Callable[[], object]:

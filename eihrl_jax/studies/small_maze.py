@@ -1,5 +1,6 @@
 """Trains the two-level baselines in a small point maze: `python -m experiments.small_maze`."""
 
+import functools
 import itertools
 import pathlib
 from typing import Annotated
@@ -106,8 +107,9 @@ def main(config: SmallConfig) -> None:
         options_of(config, method, seed)
         for seed, method in itertools.product(config.seeds, config.methods)
     ]
-    for options in runs:
-        cached_runs.finish(options, baselines.train)
+    cached_runs.share(
+        functools.partial(cached_runs.finish, options, baselines.train) for options in runs
+    )
 
     # Trained seed by seed, but told method by method.
     for options in sorted(runs, key=lambda options: METHODS.index(options.method)):

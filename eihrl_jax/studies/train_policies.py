@@ -1,5 +1,6 @@
 """Trains every shipped high level again: `python -m experiments.train_policies`."""
 
+import functools
 import itertools
 import pathlib
 import shutil
@@ -9,7 +10,7 @@ from eihrl_jax import base, mazes
 from eihrl_jax.config import changes, limits, presets
 from eihrl_jax.config import high as high_config
 from eihrl_jax.reporting import cached_runs
-from eihrl_jax.runs import policies
+from eihrl_jax.runs import folders, policies
 from eihrl_jax.training import high
 
 _Preset = Annotated[str, limits.OneOf(presets.HIGH)]
@@ -42,11 +43,16 @@ class PoliciesConfig:
 
 def main(config: PoliciesConfig) -> None:
     """Trains what is missing, the first seed of everything first."""
-    for seed in config.seeds:
-        for options in _options(config, seed):
-            cached_runs.finish(options, high.train)
-            if config.ship:
-                ship(options.run)
+    runs = [options for seed in config.seeds for options in _options(config, seed)]
+    cached_runs.share(functools.partial(_finish, config, options) for options in runs)
+
+
+def _finish(config: PoliciesConfig, options: high_config.HighConfig) -> None:
+    """Trains a run to its end, and ships it where that is asked for."""
+    cached_runs.finish(options, high.train)
+    if config.ship:
+        with folders.locked(options.run):  # where several processes share the runs
+            ship(options.run)
 
 
 def _options(config: PoliciesConfig, seed: int) -> list[high_config.HighConfig]:
