@@ -14,8 +14,10 @@ from minari.dataset import minari_dataset  # pyright: ignore[reportMissingImport
 
 from eihrl_jax import base
 from eihrl_jax.datasets import parts
+from eihrl_jax.storage import writing
 
 _ROOT = "MINARI_DATASETS_PATH"
+_EXTRA = 2**13  # bytes that HDF5 takes for an array beside its numbers, and some for its folder
 
 
 def check_name(name: str) -> None:
@@ -58,13 +60,21 @@ def write(
       first_seed: seed of the first episode; that of the next is by 1 greater.
       num_episodes: how many of the parts' episodes it is to have.
       metadata: what else Minari is to know of it.
+
+    Raises:
+      base.UserError: a part is damaged.
+      OSError: it can't be written, say because the disk is full.
     """
-    done, dataset = 0, None
+    done, size, dataset = 0, 0, None
     with _rooted(root), warnings.catch_warnings():
         # Minari misses an author, a link to code, and an expert's return.
         warnings.simplefilter("ignore", UserWarning)
         for file in files:
             told = list(parts.read(file, first_seed + done))[: num_episodes - done]
+            # HDF5 ends the process where it finds the disk full.
+            size += sum(_EXTRA + array.nbytes for each in told for array in each.values())
+            there = sum(path.stat().st_size for path in root.rglob("*.hdf5"))
+            writing.check_room(root, size, min(there, size))
             buffer = [_buffer(each, first_seed + done + i) for i, each in enumerate(told)]
             done += len(buffer)
             if dataset is None:

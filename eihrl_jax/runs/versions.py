@@ -75,6 +75,7 @@ def _commit(root: pathlib.Path) -> str | None:
 
 
 def _git(root: pathlib.Path, *arguments: str) -> str:
-    command = ["git", "-C", str(root), *arguments]
+    # Without its lock, which it would leave behind if it were killed.
+    command = ["git", "--no-optional-locks", "-C", str(root), *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     return done.stdout.strip()

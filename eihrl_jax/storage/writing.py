@@ -73,6 +73,28 @@ def short(name: str, limit: int) -> str:
     return data[: limit - 9].decode("utf-8", "ignore") + f"-{digest}"
 
 
+def check_room(folder: pathlib.Path, size: int, done: int = 0) -> None:
+    """Checks that the system would take a file, for libraries that can't do without it.
+
+    Args:
+      folder: where it is to be.
+      size: bytes of the whole file.
+      done: bytes of it that are there already.
+
+    Raises:
+      OSError: the disk hasn't room for it, or files may not be so large.
+    """
+    if not hasattr(os, "posix_fallocate"):  # macOS
+        return
+    path = folder / f"{TEMPORARY}room"
+    discard(path)
+    try:
+        with named(folder), path.open("xb") as file:
+            os.posix_fallocate(file.fileno(), done, max(1, size - done))
+    finally:
+        path.unlink(missing_ok=True)
+
+
 def discard(path: pathlib.Path) -> None:
     """Removes a file, a folder with all that is in it, or a link and not what it leads to.
 

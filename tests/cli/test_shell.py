@@ -61,6 +61,25 @@ def test_numbers_have_32_bits_and_may_be_missing_whatever_the_environment_says()
         jax.config.update("jax_debug_nans", False)
 
 
+@pytest.mark.parametrize(("named", "asked"), [(None, [(-8, 2)]), ("5", [])])
+def test_threads_share_heaps_unless_the_user_says_how_many(named, asked, monkeypatch):
+    calls = []
+
+    class Library:
+        def __init__(self, name):
+            assert name is None  # this process itself
+
+        def mallopt(self, *options):
+            calls.append(options)
+
+    monkeypatch.setattr(shell.ctypes, "CDLL", Library)
+    monkeypatch.delenv("MALLOC_ARENA_MAX", raising=False)
+    if named is not None:
+        monkeypatch.setenv("MALLOC_ARENA_MAX", named)
+    shell._share_heaps()
+    assert calls == asked
+
+
 def test_one_line_whatever_a_name_holds(capsys):
     def main(options):
         raise base.UserError("a\nb\x1b[2J\udcff is no maze")

@@ -1,6 +1,9 @@
 """Datasets: episodes are those of the Gymnasium environments, on disk whole, in Minari's form."""
 
 import dataclasses
+import pathlib
+import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,15 +114,18 @@ def test_minari_reads_what_a_killed_run_goes_on_with(tmp_path, monkeypatch):
 
     name = "eihrl_jax/point-u/walking-v0"
     assert path == tmp_path / name and list(minari.list_local_datasets()) == [name]
-    loaded = minari.load_dataset(name)
+    text = (pathlib.Path(__file__).parents[2] / "docs" / "datasets.md").read_text()
+    (example,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    shown: dict[str, Any] = {}
+    exec(example.replace("ant-u", "point-u"), shown)
+    loaded = shown["dataset"]
     assert loaded.total_episodes == 3 and loaded.spec.total_steps == 3 * 50
     for i, episode in enumerate(loaded.iterate_episodes()):
         assert len(episode.observations["achieved_goal"]) == len(episode.infos["qpos"]) == 51
         assert episode.truncations[-1] and not episode.truncations[:-1].any()
         assert next(iter(loaded.storage.get_episode_metadata([i])))["seed"] == config.seed + i
-    env = loaded.recover_environment().unwrapped
-    obs, _ = env.reset(seed=config.seed)
-    first = loaded[0].observations
+    obs, _ = shown["env"].unwrapped.reset(seed=config.seed)
+    first = shown["episode"].observations
     np.testing.assert_allclose(first["observation"][0], obs["observation"], atol=1e-5)
 
     # Never in place of another one, finished or not.

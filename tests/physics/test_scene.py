@@ -19,6 +19,16 @@ def test_only_robot_against_floor_and_walls_collides(name):
     np.testing.assert_array_equal(collides, is_robot[:, None] != is_robot[None])
 
 
+def test_what_breaks_down_leaves_no_file_and_says_nothing(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    model = scene.build(robots.load("point"))
+    data = mujoco.MjData(model)
+    data.qvel[:] = np.nan
+    mujoco.mj_step(model, data)
+    assert data.warning.number.any()
+    assert not list(tmp_path.iterdir()) and capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize("name", robots.NAMES)
 def test_walls_are_cells(name):
     robot = robots.load(name)

@@ -115,6 +115,14 @@ def test_a_file_that_cannot_be_finished_leaves_the_old_one(tmp_path):
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
+def test_what_there_is_no_room_for_is_known_before(tmp_path):
+    writing.check_room(tmp_path, 10_000, 4_000)
+    with pytest.raises(OSError, match=f"'{tmp_path}'") as error:
+        writing.check_room(tmp_path, 2**61)
+    assert error.value.errno in (errno.ENOSPC, errno.EFBIG)
+    assert not list(tmp_path.iterdir())
+
+
 def test_archives_come_back_and_changed_bits_are_noticed(tmp_path):
     path = tmp_path / "a.npz"
     arrays = {"x/y": np.arange(60.0).reshape(2, 30), "name": np.array("ant")}
