@@ -71,12 +71,19 @@ def low_point() -> low_config.LowConfig:
 
 
 def low_swimmer() -> low_config.LowConfig:
-    """`low_restarting` for the swimmer, which is slow to turn and needs more practice."""
+    """`low_restarting` for the swimmer, which is slow to turn and needs more practice.
+
+    It begins anywhere in a cell, and goes to the middle of the next one, in corridors too: else it
+    stays where a corridor's walls hold it folded, for dozens of subgoals on end.
+    """
     return dataclasses.replace(
         low_restarting(),
         preset="swimmer",
         robot="swimmer",
         num_iterations=15_000,  # 960,000 steps, of which the replay keeps the last two thirds
+        anchored=True,
+        corridor_share=0.25,
+        start_jitter=1.0,
         checkpoint_every=2_500,
     )
 
