@@ -21,6 +21,7 @@ from typing import TypeVar
 
 import jax
 import orbax.checkpoint as ocp
+import tensorstore
 from jaxtyping import PyTree
 
 from eihrl_jax import base
@@ -103,8 +104,17 @@ def wait_for_all(name: str) -> None:
     ocp.multihost.sync_global_processes(name)
 
 
-def _checkpointer() -> ocp.Checkpointer:
-    return ocp.Checkpointer(ocp.PyTreeCheckpointHandler(use_zarr3=True, use_compression=False))
+@contextlib.contextmanager
+def _checkpointer() -> Iterator[ocp.Checkpointer]:
+    # Orbax asks TensorStore for figures to log them, and 0.1.86 never frees those it has told.
+    collect = tensorstore.experimental_collect_matching_metrics
+    tensorstore.experimental_collect_matching_metrics = lambda *_: []
+    try:
+        handler = ocp.PyTreeCheckpointHandler(use_zarr3=True, use_compression=False)
+        with ocp.Checkpointer(handler) as checkpointer:
+            yield checkpointer
+    finally:
+        tensorstore.experimental_collect_matching_metrics = collect
 
 
 @contextlib.contextmanager

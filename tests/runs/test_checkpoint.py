@@ -1,5 +1,6 @@
 """Checkpoints come back as they were, completely or not at all."""
 
+import gc
 import json
 import pathlib
 import shutil
@@ -71,6 +72,19 @@ def test_last_two_are_kept(tmp_path, state):
         checkpoint.save(tmp_path, step, state.replace(step=step))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["000000000011", "000000000100"]
     assert checkpoint.restore(tmp_path, state)[1].step == 100
+
+
+def test_saving_and_reading_keep_no_lists(tmp_path, state):
+    def num_lists():
+        gc.collect()
+        return sum(isinstance(each, list) for each in gc.get_objects())
+
+    counts = []
+    for step in range(3):
+        checkpoint.save(tmp_path, step, state)
+        checkpoint.restore(tmp_path, state)
+        counts.append(num_lists())
+    assert counts[2] - counts[1] < 10
 
 
 def test_saving_a_step_twice_changes_nothing(tmp_path, state):
