@@ -230,6 +230,14 @@ def value_gap() -> Command:
     return Command(main, gap_config.ValueGapConfig, earlier=earlier)
 
 
+def predict() -> Command:
+    """Predicts success in mazes from where a robot's subgoals end, without physics."""
+    from eihrl_jax.config import predict as predict_config
+    from eihrl_jax.reporting import predictions
+
+    return Command(predictions.main, predict_config.PredictConfig)
+
+
 def benchmark() -> Command:
     """Measures speeds, and how far the two physics engines part."""
     from eihrl_jax.benchmarks import suite
@@ -318,6 +326,7 @@ COMMANDS: dict[str, Make] = {
         list_,
         demo,
         value_gap,
+        predict,
         benchmark,
         train_policies,
         ablate_high,

@@ -2,6 +2,8 @@
 
 import dataclasses
 import pathlib
+from collections.abc import Callable
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +25,9 @@ from eihrl_jax.runs import policies
 STAND, NOBODY = "stand", "none"
 """Folder beside a low level of the one that stands the robot up; who does it where nobody does."""
 
+Odds: TypeAlias = Callable[[raster.Picture], Float[Array, "4"]]
+"""From what a high level sees to the probability of each direction."""
+
 
 @dataclasses.dataclass(frozen=True)
 class HighLevel:
@@ -31,16 +36,20 @@ class HighLevel:
     Attributes:
       label: its name in tables.
       policy: from what it sees and a key to a direction.
+      odds: from what it sees to the probability of each direction; a pytree like the policy.
       view: what it had to see in training.
       anchored: whether its subgoals counted from the middle of the robot's cell in training.
       takes_any_map: whether its policy takes a map of any size instead.
+      is_certain: whether one direction has all the odds, whatever it sees.
     """
 
     label: str
     policy: rollouts.HighPolicy
+    odds: Odds
     view: raster.View
     anchored: bool = False
     takes_any_map: bool = False
+    is_certain: bool = False
 
     def view_in(self, stacked: mazes.Maze) -> raster.View:
         """Returns what it has to see in some mazes: of a map as much as there is of the largest."""
@@ -110,14 +119,18 @@ def load_high(
     """
     if name in evaluate_config.UNIFORM_NAMES:
         policy = jax.tree_util.Partial(_uniform_direction)
-        return HighLevel(evaluate_config.UNIFORM, policy, raster.View())
+        odds = jax.tree_util.Partial(_uniform_odds)
+        return HighLevel(evaluate_config.UNIFORM, policy, odds, raster.View())
 
     if name in (evaluate_config.FRONTIER, evaluate_config.SHORTEST):
         policy = jax.tree_util.Partial(_towards_the_unseen)
+        odds = jax.tree_util.Partial(_odds_towards_the_unseen)
         # Five cells a side are in sight, as of preset `best`.
         known = "map" if name == evaluate_config.SHORTEST else knows or "nothing"
         view = raster.View(extent=15.0, pixels=25, map_radius=8, knows=known)
-        return HighLevel(name, policy, view, anchored=True, takes_any_map=True)
+        return HighLevel(
+            name, policy, odds, view, anchored=True, takes_any_map=True, is_certain=True
+        )
 
     path = policies.find(name, "high")
     params, meta = policies.load(path, kind="high")
@@ -133,9 +146,15 @@ def load_high(
 
     # A pytree of the parameters: policies that differ in them alone share what is compiled.
     learned = _Learned(actor_critic.in_use(network), told.greedy if greedy is None else greedy)
-    policy = jax.tree_util.Partial(learned, params)
-    takes_any_map = actor_critic.takes_any_map(network)
-    return HighLevel(name, policy, view, movement.anchored, takes_any_map)
+    return HighLevel(
+        name,
+        jax.tree_util.Partial(learned, params),
+        jax.tree_util.Partial(learned.odds, params),
+        view,
+        movement.anchored,
+        takes_any_map=actor_critic.takes_any_map(network),
+        is_certain=learned.greedy,
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,6 +175,13 @@ class _Learned:
         if self.greedy:
             return peg_a2c.mode(self.network, params, obs)
         return peg_a2c.sample(self.network, params, obs, key)
+
+    def odds(self, params: base.Params, obs: raster.Picture) -> Float[Array, "4"]:
+        """Returns the probability with which each direction is chosen."""
+        if self.greedy:
+            return _certain(peg_a2c.mode(self.network, params, obs))
+        logits, _ = self.network.apply(params, obs)
+        return jax.nn.softmax(logits)
 
 
 def load_low(name: str, robot: robot_lib.Robot, *, stand: str | None = None) -> hierarchy.LowPolicy:
@@ -259,6 +285,22 @@ def _uniform_direction(obs: raster.Picture | None, key: Key[Array, ""]) -> Int[A
     """Chooses any direction, whatever it sees (the paper's RAND-H)."""
     del obs
     return jax.random.randint(key, (), 0, base.NUM_DIRECTIONS)
+
+
+def _uniform_odds(obs: raster.Picture) -> Float[Array, "4"]:
+    """Returns the odds of any direction, whatever it sees."""
+    del obs
+    return jnp.full(base.NUM_DIRECTIONS, 1.0 / base.NUM_DIRECTIONS)
+
+
+def _odds_towards_the_unseen(obs: raster.Picture) -> Float[Array, "4"]:
+    """Returns the odds of `_towards_the_unseen`, which needs no draw."""
+    return _certain(_towards_the_unseen(obs, jax.random.key(0)))
+
+
+def _certain(direction: Int[Array, ""]) -> Float[Array, "4"]:
+    """Returns the odds where one direction has them all."""
+    return jax.nn.one_hot(direction, base.NUM_DIRECTIONS)
 
 
 def _towards_the_unseen(obs: raster.Picture, key: Key[Array, ""]) -> Int[Array, ""]:

@@ -95,6 +95,7 @@ class Measurement:
       drift: without and with anchors, after each of `DRIFT_AFTER`.
       standing: how many stand up again; None for a robot that can't fall.
       steps: on open floor, on the host.
+      corridors: those in corridors.
     """
 
     robot: robot_lib.Robot
@@ -102,6 +103,7 @@ class Measurement:
     drift: list[subgoals.Drift]
     standing: standing_lib.Standing | None
     steps: Steps
+    corridors: Steps
 
     def postures(self, num: int) -> postures.PostureBank:
         """Returns postures of the upright robot, see `upright_postures`."""
@@ -157,7 +159,8 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
     statistics = {name: summarise(steps, robot, options.sigma) for name, steps in measured.items()}
     key = _key(options, len(floors) + 1)
     standing = standing_lib.measure(engine, policy, options.num_subgoals // 10, key)
-    return Measurement(robot, statistics, drift, standing, measured[subgoals.OPEN])
+    kept = measured[subgoals.OPEN], measured[subgoals.CORRIDORS]
+    return Measurement(robot, statistics, drift, standing, *kept)
 
 
 def _env(
@@ -247,20 +250,6 @@ def _is_clear(env: locomotion.Locomotion, state: locomotion.LocomotionState) -> 
     return is_clear | env.is_corridor(state.room)
 
 
-def end_points(steps: Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
-    """Returns displacements in the world's frame by direction, of subgoals begun clear, units."""
-    counts = _counts(steps)
-    along_lateral = np.stack([steps.along[counts], steps.lateral[counts]], -1)
-    direction = np.asarray(steps.direction)[counts]
-
-    # From the subgoal's frame back to the world's, where the four directions part.
-    ends = {}
-    for index, (x, y) in enumerate(base.DIRECTIONS_XY):
-        to_world = np.array([[x, y], [-y, x]])  # rows: where `along` and `lateral` point
-        ends[index] = along_lateral[direction == index] @ to_world
-    return ends
-
-
 def drift_after(
     steps: Steps, num_subgoals: int, robot: robot_lib.Robot, *, anchored: bool
 ) -> subgoals.Drift:
@@ -318,8 +307,8 @@ def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.St
     Returns:
       The statistics; displacements are NaN where no subgoal was completed clear and upright.
     """
-    counts = _counts(steps)
-    along, lateral = np.asarray(steps.along)[counts], np.asarray(steps.lateral)[counts]
+    is_counted = counts(steps)
+    along, lateral = np.asarray(steps.along)[is_counted], np.asarray(steps.lateral)[is_counted]
 
     # A subgoal during which the simulation breaks down has begun, but doesn't end.
     completed = (steps.switched > 0) & steps.start.is_upright
@@ -331,7 +320,7 @@ def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.St
     finite = times[np.isfinite(times)]
     return subgoals.Statistics(
         num_subgoals=int(begun.sum()),
-        blocked=float(1.0 - counts.sum() / max(completed.sum(), 1)),
+        blocked=float(1.0 - is_counted.sum() / max(completed.sum(), 1)),
         **_displacement(along, lateral, sigma),
         falls=1000.0 * float((steps.fell > 0).sum()) / num_begun,
         recovered=float(np.isfinite(times).mean()) if len(times) else math.nan,
@@ -381,7 +370,7 @@ def recovery_times(steps: Steps, min_steps: int) -> Float[np.ndarray, " F"]:
     return np.array(times)
 
 
-def _counts(steps: Steps) -> Bool[np.ndarray, "T N"]:
+def counts(steps: Steps) -> Bool[np.ndarray, "T N"]:
     """Returns which steps end a subgoal that was begun upright with no wall in the way."""
     is_upright, is_clear = np.asarray(steps.start.is_upright), np.asarray(steps.start.is_clear)
     return (np.asarray(steps.switched) > 0) & is_upright & is_clear

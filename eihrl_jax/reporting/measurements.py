@@ -4,7 +4,8 @@ import json
 
 from eihrl_jax.config import measure as measure_config
 from eihrl_jax.drawing import figures, scatter
-from eihrl_jax.envs import postures, subgoals
+from eihrl_jax.envs import end_points, postures, subgoals
+from eihrl_jax.evaluation import ends as ends_lib
 from eihrl_jax.evaluation import measure as measure_lib
 from eihrl_jax.runs import folders, versions
 from eihrl_jax.storage import writing
@@ -46,7 +47,11 @@ def _write(measured: measure_lib.Measurement, options: measure_config.MeasureCon
     bank = measured.postures(options.num_postures)
     postures.save(bank, options.out / subgoals.POSTURES, robot)
 
+    # For `predict`: in corridors subgoals are anchored, as in a maze; on open floor they aren't.
+    laws = ends_lib.law(measured.corridors), ends_lib.law(measured.steps)
+    end_points.save(options.out / end_points.FILE, robot.name, *laws)
+
     # Of open floor: among walls the ends say as much about the rooms.
-    path, ends = options.out / "subgoals.png", measure_lib.end_points(measured.steps)
+    path, ends = options.out / "subgoals.png", ends_lib.by_direction(measured.steps)
     title = f"{robot.name}, {subgoals.OPEN}"
     figures.attempt(path, lambda: scatter.save(path, ends, title, options.sigma))

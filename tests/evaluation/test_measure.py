@@ -9,8 +9,8 @@ import pytest
 
 from eihrl_jax import base, robots
 from eihrl_jax.config import measure as measure_config
-from eihrl_jax.envs import postures, subgoals
-from eihrl_jax.evaluation import measure, statistics, tables
+from eihrl_jax.envs import end_points, postures, subgoals
+from eihrl_jax.evaluation import ends, measure, statistics, tables
 from eihrl_jax.reporting import measurements
 
 ANT = dataclasses.replace(robots.load("ant"), steps_per_subgoal=2)
@@ -88,11 +88,46 @@ def test_end_points_are_in_the_worlds_frame():
         along=_column(*[3.0] * 8),
         lateral=_column(*[1.0] * 8),
     )
-    found = measure.end_points(steps)
+    found = ends.by_direction(steps)
     left_xy = ((0, 1), (0, -1), (-1, 0), (1, 0))
     for index, unit_xy in enumerate(base.DIRECTIONS_XY):
         expected = 3.0 * np.array(unit_xy) + np.array(left_xy[index])
         np.testing.assert_allclose(found[index], expected[None])
+
+
+def test_a_law_tells_how_each_subgoal_began(tmp_path):
+    """East, north, south and a fall in it, up again, north; then an episode that ends, and east."""
+    direction = np.repeat(np.array([0, 2, 3, 3, 2, 0], np.int32), 2)[:, None]
+    fell, was_down, ended, is_upright = (np.zeros((12, 1), bool) for _ in range(4))
+    fell[5], was_down[6:8], ended[9] = True, True, True
+    is_upright[:] = True
+    is_upright[6:8] = False
+    steps = _steps(
+        12,
+        direction=direction,
+        along=_column(*np.arange(12)),
+        lateral=_column(*np.arange(12) / 2),
+        fell=fell.astype(np.float32),
+        was_down=was_down,
+        ended=ended,
+        start=measure.SubgoalStart(is_upright=is_upright, is_clear=np.ones((12, 1), bool)),
+    )
+    found = ends.law(steps)
+    names = [end_points.CONDITIONS[condition] for condition in found.condition]
+    assert names == ["rest", "left", "behind", "down", "rest", "rest"]
+    assert found.along.tolist() == [1, 3, 5, 7, 9, 11] and found.lateral[1] == 1.5
+    assert found.is_down.tolist() == [False, False, True, True, False, False]
+
+    path = tmp_path / end_points.FILE
+    end_points.save(path, "ant", found, found)
+    again = end_points.load(path, "ant", anchored=True)
+    for column, other in zip(vars(found).values(), vars(again).values(), strict=True):
+        np.testing.assert_array_equal(column, other)
+    with pytest.raises(base.UserError, match="are of robot 'ant', expected 'point'"):
+        end_points.load(path, "point", anchored=True)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(base.UserError, match="can't be read"):
+        end_points.load(path, "ant", anchored=False)
 
 
 def test_drift_is_from_the_centre_of_ones_own_cell_in_the_subgoals_frame():
