@@ -57,13 +57,22 @@ ONLY_IN = {
     ),
     "orbax": ("eihrl_jax/runs/arrays.py",),
     "tensorboardX": ("eihrl_jax/runs/",),
-    "brax": ("eihrl_jax/brax/",),
-    "gymnasium": ("eihrl_jax/gym/", "eihrl_jax/datasets/", "eihrl_jax/benchmarks/low.py"),
+    "brax": ("eihrl_jax/brax/", "eihrl_jax/benchmarks/neighbours.py"),
+    "gymnasium": (
+        "eihrl_jax/gym/",
+        "eihrl_jax/datasets/",
+        "eihrl_jax/benchmarks/low.py",
+        "eihrl_jax/benchmarks/neighbours.py",
+    ),
     "minari": ("eihrl_jax/datasets/minari_files.py",),
     "matplotlib": ("eihrl_jax/drawing/", "eihrl_jax/reporting/"),
     "PIL": ("eihrl_jax/drawing/", "eihrl_jax/reporting/", "eihrl_jax/mazes/readers/pictures.py"),
     "yaml": ("eihrl_jax/mazes/readers/pictures.py",),
-    "stable_baselines3": ("eihrl_jax/gym/sb3.py", "eihrl_jax/benchmarks/low.py"),
+    "stable_baselines3": (
+        "eihrl_jax/gym/sb3.py",
+        "eihrl_jax/benchmarks/low.py",
+        "eihrl_jax/benchmarks/neighbours.py",
+    ),
     "tyro": ("eihrl_jax/cli/",),
 }
 """Where a package that moves may be imported."""

@@ -45,9 +45,9 @@ def updates_per_second(num_updates: int = 400, repeats: int = 5) -> part.Figures
     Raises:
       base.UserError: sbx isn't installed.
     """
-    train_sbx = _sbx(num_updates)  # First, as it may not be installed.
+    sbx_run = train_sbx(num_updates)  # First, as it may not be installed.
     times = timing.shortest(
-        {"ours": _ours(num_updates), "sbx": train_sbx, "matmul": _matmul()}, repeats
+        {"ours": train_ours(num_updates), "sbx": sbx_run, "matmul": _matmul()}, repeats
     )
 
     ours, sbx = num_updates / times["ours"], num_updates / times["sbx"]
@@ -146,7 +146,7 @@ def walking_rows(figures: part.Figures) -> part.Rows:
     }
 
 
-def _ours(num_updates: int) -> Callable[[], droq.DroqState]:
+def train_ours(num_updates: int) -> Callable[[], droq.DroqState]:
     """Fills our replay with noise and returns our training."""
     learner = droq.Droq(NUM_FEATURES, NUM_ACTIONS, low_config.Droq())
     rows = _transitions(np.random.default_rng(0))
@@ -183,7 +183,7 @@ def _transitions(rng: np.random.Generator) -> base.Transition:
     )
 
 
-def _sbx(num_updates: int) -> Callable[[], None]:
+def train_sbx(num_updates: int) -> Callable[[], None]:
     """Fills sbx's replay with noise and returns its training, 20 updates a call as it does it."""
     try:
         import gymnasium  # pyright: ignore[reportMissingImports]

@@ -20,7 +20,9 @@ class Part(Generic[FiguresT]):
     Attributes:
       measure: takes the measurement; what it returns can be written as JSON.
       rows: tells what `measure` returned, also after it was read from a file.
+      options: of the benchmark that `measure` takes by name.
     """
 
-    measure: Callable[[], FiguresT]
+    measure: Callable[..., FiguresT]
     rows: Callable[[FiguresT], Rows]
+    options: tuple[str, ...] = ()

@@ -90,7 +90,7 @@ def maze_costs(num_steps: int = 10) -> dict[str, part.Figures]:
     for name, num_envs, repeats in (("mujoco", 256, 15), ("mjx", 32, 12)):
         engine = engines.make(robots.load("ant"), name)
         runs = {
-            maze: _random_walk(engine, mazes.load(maze), num_steps, num_envs)
+            maze: random_walk(engine, mazes.load(maze), num_steps, num_envs)
             for maze in ("spiral", "random")
         }
         times = timing.shortest(runs, repeats, clock)
@@ -132,7 +132,7 @@ def throughput(
     rows, maze = [], mazes.load("random")
     for name, num_envs in itertools.product(base.ENGINES, sizes):
         engine = engines.make(robots.load("ant"), name)
-        run = {name: _random_walk(engine, maze, num_steps, num_envs)}
+        run = {name: random_walk(engine, maze, num_steps, num_envs)}
         seconds = timing.shortest(run, repeats)[name]
         rows.append({"engine": name, "num_envs": num_envs, "rate": num_envs * num_steps / seconds})
     return rows
@@ -232,7 +232,7 @@ def _deviation(
     }
 
 
-def _random_walk(
+def random_walk(
     engine: engine_lib.Engine, maze: mazes.Maze, num_steps: int, num_envs: int
 ) -> Callable[[], engine_lib.PhysicsState]:
     """Returns a function that lets ants push at random from where a maze's episodes start."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 from eihrl_jax import base
-from eihrl_jax.benchmarks import adapters, baselines, high, low, physics
+from eihrl_jax.benchmarks import adapters, baselines, high, low, neighbours, physics
 from eihrl_jax.benchmarks.part import Part
 from eihrl_jax.config import limits
 from eihrl_jax.runs import versions
@@ -24,6 +24,7 @@ PARTS: dict[str, Part[Any]] = {
     "updates": Part(low.updates_per_second, low.updates_rows),
     "baselines": Part(baselines.higl_rate, baselines.higl_rows),
     "adapters": Part(adapters.adapter_costs, adapters.adapter_rows),
+    "neighbours": Part(neighbours.ratios, neighbours.rows, ("jaxgcrl",)),
 }
 """What can be measured, by name; each part has figures of its own kind, hence `Any`."""
 
@@ -35,15 +36,18 @@ class BenchmarkConfig:
     Run it on a machine that does nothing else; the figures stand beside the machine's name.
 
     Attributes:
-      parts: what to measure; default: everything but updates, which needs sbx-rl installed, and
-        adapters, which needs Gymnasium and Brax.
+      parts: what to measure; default: everything but updates, which needs sbx-rl installed,
+        adapters, which needs Gymnasium and Brax, and neighbours, of which those are measured that
+        are installed: Gymnasium-Robotics, Brax, sbx, and a checkout of JaxGCRL.
       out: folder of the results, must be new.
+      jaxgcrl: checkout of JaxGCRL, for neighbours.
     """
 
     parts: limits.Several[Annotated[str, limits.OneOf(PARTS)]] = tuple(
-        part for part in PARTS if part not in ("updates", "adapters")
+        part for part in PARTS if part not in ("updates", "adapters", "neighbours")
     )
     out: pathlib.Path = pathlib.Path("runs/benchmark")
+    jaxgcrl: pathlib.Path | None = None
 
 
 def main(config: BenchmarkConfig) -> None:
@@ -56,7 +60,8 @@ def main(config: BenchmarkConfig) -> None:
     figures = {}
     for part in config.parts:
         print(f"measuring {part} ...", flush=True)
-        figures[part] = PARTS[part].measure()
+        options = {name: getattr(config, name) for name in PARTS[part].options}
+        figures[part] = PARTS[part].measure(**options)
         document = {"machine": versions.describe(), "found": figures}
         writing.write_text(config.out / "benchmark.json", json.dumps(document, indent=2) + "\n")
         writing.write_text(config.out / "benchmark.md", markdown(figures))

@@ -1,6 +1,5 @@
 """Times that `experiments.benchmark` compares, taken in turns: other work only lengthens them."""
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from typing import TypeVar
@@ -17,7 +16,16 @@ def shortest(
     repeats: int,
     clock: Callable[[], float] = time.perf_counter,
 ) -> dict[str, float]:
-    """Returns the shortest times of functions called in turns, compilation left out; s.
+    """Returns the shortest of the times of `in_turns`."""
+    return {name: min(times) for name, times in in_turns(functions, repeats, clock).items()}
+
+
+def in_turns(
+    functions: dict[str, Callable[[], PyTree]],
+    repeats: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> dict[str, list[float]]:
+    """Returns the times of functions called in turns, compilation left out; s.
 
     Args:
       functions: what is timed, by name; what they return is waited for.
@@ -28,12 +36,12 @@ def shortest(
     jax.block_until_ready([function() for function in functions.values()])
 
     # In turns, so that a slow spell of the machine meets all of them.
-    times = dict.fromkeys(functions, math.inf)
+    times: dict[str, list[float]] = {name: [] for name in functions}
     for _ in range(repeats):
         for name, function in functions.items():
             begin = clock()
             jax.block_until_ready(function())
-            times[name] = min(times[name], clock() - begin)
+            times[name].append(clock() - begin)
     return times
 
 
