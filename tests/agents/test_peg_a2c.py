@@ -18,7 +18,7 @@ from tests.agents.probe_envs import Kind
 
 GAMMA = 0.5
 NUM_WORKERS = 64
-MESH = functools.partial(parallel.make_mesh, 1, NUM_WORKERS)
+MESH = functools.partial(parallel.make_mesh, 1, num_workers=NUM_WORKERS)
 
 
 class Perceptron(nn.Module):
