@@ -11,6 +11,7 @@ before `make test` shows whether a test hangs on that.
 """
 
 import os
+import signal
 import tempfile
 
 # The commands that tests start inherit both.
@@ -31,6 +32,9 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 _PROGRAMS = tempfile.TemporaryDirectory(prefix="eihrl_jax-tests-")  # removed when Python ends
 jax.config.update("jax_compilation_cache_dir", _PROGRAMS.name)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+# A shell has its jobs in the background ignore Ctrl-C, which some tests press.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 LONGEST_FILES = (
     "baselines/test_two_levels.py",
