@@ -6,6 +6,7 @@ are in MuJoCo units, called units.
 """
 
 import difflib
+import pathlib
 from collections.abc import Iterable, Mapping
 from typing import Generic, Literal, Protocol, TypeAlias, TypeVar, get_args, runtime_checkable
 
@@ -25,6 +26,8 @@ NUM_DIRECTIONS = 4
 DIRECTIONS_XY = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 """Unit vector of each subgoal."""
 
+PRETRAINED = pathlib.Path(__file__).parent / "pretrained"
+"""Folder of what the package ships of trained robots and policies."""
 
 Reward = Literal["sparse", "dense"]
 """What a task pays for: goals that are reached, or nearness to the current one (paper, App. D)."""

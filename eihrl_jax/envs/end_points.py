@@ -91,4 +91,4 @@ def load(path: pathlib.Path, robot: str, *, anchored: bool) -> EndPoints:
 
 def shipped(robot: str) -> pathlib.Path:
     """Returns where the package holds those of a robot's low level, if it has one."""
-    return pathlib.Path(__file__).parents[1] / "pretrained" / robot / FILE
+    return base.PRETRAINED / robot / FILE

@@ -117,8 +117,7 @@ def for_robot(robot: robot_lib.Robot) -> PostureBank:
     Raises:
       base.UserError: the shipped bank is damaged.
     """
-    # Read here, since environments know nothing of `runs.policies`, which keeps the rest.
-    shipped = pathlib.Path(__file__).parents[1] / "pretrained" / robot.name / "postures.npz"
+    shipped = base.PRETRAINED / robot.name / "postures.npz"
     return load(shipped, robot) if shipped.exists() else synthetic(robot)
 
 

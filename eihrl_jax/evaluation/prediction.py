@@ -133,6 +133,7 @@ class Predictor:
         num_postures = 1 if view.has_map else _NUM_POSTURES
         bank = len(gait.bank.qpos)
         self._postures = jnp.linspace(0, bank - 1, num_postures).astype(jnp.int32)
+        self._look = jax.jit(jax.vmap(self._look_one, in_axes=(None, 0, 0)))
         self._follow = jax.jit(jax.vmap(self._follow_one, in_axes=(None, None, *[0] * 5)))
 
     def run(self, name: str) -> Prediction:
@@ -206,12 +207,16 @@ class Predictor:
         if not self._view.has_map:
             return states
 
-        def look(door_ij: Int[Array, "2"], xy: Float[Array, "2"]) -> Bool[Array, "H W"]:
-            nav = _navigation(jnp.int32(index), door_ij, jnp.zeros(maze_lib.MAX_GOALS, bool), None)
-            return jnp.asarray(task.look(self._env.table, nav, xy, self._view).seen)
+        return states._replace(
+            seen=np.asarray(self._look(jnp.int32(index), states.door_ij, states.xy))
+        )
 
-        looked = jax.jit(jax.vmap(look))(states.door_ij, states.xy)
-        return states._replace(seen=np.asarray(looked))
+    def _look_one(
+        self, maze: Int[Array, ""], door_ij: Int[Array, "2"], xy: Float[Array, "2"]
+    ) -> Bool[Array, "H W"]:
+        """Returns what is in sight where nothing has been seen before."""
+        nav = _navigation(maze, door_ij, jnp.zeros(maze_lib.MAX_GOALS, bool), None)
+        return jnp.asarray(task.look(self._env.table, nav, xy, self._view).seen)
 
     def _advanced(self, index: int, states: _States) -> tuple[_States, float]:
         """Returns the states after one more decision, and the probability of having visited all."""

@@ -108,22 +108,15 @@ def draw(path: pathlib.Path, rows: list[Row]) -> None:
     figure = figures.new(9.0, 4.4)
     panels = figure.subplots(1, 2)
     names = list(dict.fromkeys(row.robot for row in rows))
-    for axes, what in zip(panels, ("success, %", "decisions"), strict=True):
+    whats = (("success, %", _success), ("decisions", _decisions))
+    for axes, (what, point) in zip(panels, whats, strict=True):
         ends: list[float] = []
         for name in names:
-            points = []
-            for row in rows:
-                if row.walked is None or row.robot != name:
-                    continue
-                rate = row.walked.success
-                if what == "decisions":
-                    values = row.predicted.decisions, row.walked.decisions_mean, 0.0, 0.0
-                else:
-                    low, high = rate.rate - rate.low, rate.high - rate.rate
-                    values = row.predicted.success, rate.rate, max(low, 0.0), max(high, 0.0)
-                scale = 1.0 if what == "decisions" else 100.0
-                points.append([scale * value for value in values])
-
+            points = [
+                point(row.predicted, row.walked)
+                for row in rows
+                if row.walked is not None and row.robot == name
+            ]
             x, y, low, high = zip(*points, strict=True)
             ends += [*x, *y]
             colour = palette.CURVE[names.index(name) % len(palette.CURVE)]
@@ -139,6 +132,22 @@ def draw(path: pathlib.Path, rows: list[Row]) -> None:
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].legend(frameon=False, labelcolor=palette.INK)
     figures.save(figure, path)
+
+
+def _success(
+    predicted: prediction.Prediction, walked: results.Cell
+) -> tuple[float, float, float, float]:
+    """Returns predicted and measured success, and how far down and up its interval goes; %."""
+    rate = walked.success
+    low, high = max(rate.rate - rate.low, 0.0), max(rate.high - rate.rate, 0.0)
+    return 100.0 * predicted.success, 100.0 * rate.rate, 100.0 * low, 100.0 * high
+
+
+def _decisions(
+    predicted: prediction.Prediction, walked: results.Cell
+) -> tuple[float, float, float, float]:
+    """Returns the same of decisions, whose interval isn't known."""
+    return predicted.decisions, walked.decisions_mean, 0.0, 0.0
 
 
 def _agents(options: predict_config.PredictConfig) -> list[_Agent]:

@@ -29,7 +29,7 @@ _NOUNS: dict[Kind, str] = {
     "baseline": "baseline",
 }
 
-PRETRAINED = pathlib.Path(__file__).parents[1] / "pretrained"
+PRETRAINED = base.PRETRAINED
 """Folder of the shipped policies."""
 
 FOLDER = "policy"

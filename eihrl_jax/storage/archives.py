@@ -19,8 +19,14 @@ _CHECKSUM = 64
 """Bytes of the checksum at the end of a file: SHA-256 of all before it, in hexadecimal."""
 
 _UNREADABLE = (
-    *(OSError, EOFError, ValueError, KeyError, TypeError, NotImplementedError, RuntimeError),
-    *(MemoryError, zipfile.BadZipFile),
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    RuntimeError,  # also NotImplementedError
+    MemoryError,
+    zipfile.BadZipFile,
 )
 """What NumPy and its archives raise where their content makes no sense."""
 
@@ -56,7 +62,7 @@ def read(path: pathlib.Path, *, limit: int = MAX_SIZE) -> dict[str, np.ndarray]:
     try:
         size = sum(each.file_size for each in zipfile.ZipFile(io.BytesIO(data)).infolist())
         if size > limit:
-            raise base.UserError(f"{path} has arrays of {size} bytes, at most {limit}")
+            raise ValueError(f"it has arrays of {size} bytes, at most {limit}")
         with np.load(io.BytesIO(data), allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
     except _UNREADABLE as error:

@@ -181,8 +181,7 @@ def _load_start(trainer: LowTrainer, path: pathlib.Path) -> LowState:
         robot that was another one then.
     """
     # Shapes are enough to read by; no robot is reset for it.
-    shapes = jax.eval_shape(trainer.init, jax.random.key(0))
-    restored = checkpoint.restore(path / run_folder.CHECKPOINTS, shapes)
+    restored = checkpoint.restore(path / run_folder.CHECKPOINTS, trainer.shapes)
     if restored is None:
         raise base.UserError(f"start_from = {path} holds no checkpoint")
 

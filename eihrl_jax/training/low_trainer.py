@@ -79,11 +79,15 @@ class LowTrainer:
             num_envs=config.num_envs,
             batch_size=config.droq.batch_size,
         )
-        spread = self._shardings()
-        alike = jax.sharding.NamedSharding(self._mesh, jax.sharding.PartitionSpec())
+
+        # `init` is one object, of which JAX keeps what it has traced.
+        init = self.init
+        self.shapes = jax.eval_shape(init, jax.random.key(0))
+        self._spread = spread = self._shardings()
+        alike = parallel.sharding(self._mesh)
 
         # Each is compiled once for all runs that the trainer is used for.
-        self.jit_init = jax.jit(self.init, out_shardings=spread)
+        self.jit_init = jax.jit(init, out_shardings=spread)
         self.jit_warm_up = jax.jit(
             self.warm_up,
             donate_argnums=0,
@@ -216,16 +220,15 @@ class LowTrainer:
 
     def place(self, state: LowState) -> LowState:
         """Returns a state whose robots and stored steps are spread over the run's devices."""
-        return jax.device_put(state, self._shardings())
+        return jax.device_put(state, self._spread)
 
     def _shardings(self) -> LowState:
         """Returns where the parts of a state are: each robot, and what it stored, on one device."""
-        shapes = jax.eval_shape(self.init, jax.random.key(0))
-        state = parallel.placed(self._mesh, shapes)
-        rows = parallel.placed(self._mesh, shapes.replay.rows, axis=1)
+        alike, by_robot, by_stream = (parallel.sharding(self._mesh, axis) for axis in (None, 0, 1))
+        state = jax.tree.map(lambda _: alike, self.shapes)
         return state.replace(
-            envs=parallel.placed(self._mesh, shapes.envs, axis=0),
-            replay=state.replay.replace(rows=rows),
+            envs=jax.tree.map(lambda _: by_robot, self.shapes.envs),
+            replay=state.replay.replace(rows=by_stream),
         )
 
     def _features(self, obs: low_obs.LowObs) -> Float[Array, " F"]:
@@ -278,7 +281,7 @@ class LowTrainer:
         row_key, direction_key, share_key = jax.random.split(key, 3)
         shape = (num_batches, self.config.droq.batch_size)
         rows = replay_lib.sample(replay, shape, row_key)
-        rows = jax.lax.with_sharding_constraint(rows, parallel.placed(self._mesh, rows, axis=1))
+        rows = jax.lax.with_sharding_constraint(rows, parallel.sharding(self._mesh, axis=1))
 
         if self.config.relabel != "never":
             direction = jax.random.randint(direction_key, shape, 0, base.NUM_DIRECTIONS)

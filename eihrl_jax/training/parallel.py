@@ -136,7 +136,7 @@ def repeated_update(agent: peg_a2c.PegA2C, num: int, mesh: jax.sharding.Mesh) ->
     )
     # Without `out_shardings` a state that comes back looks different from a first one on one
     # device, and everything would be compiled twice.
-    shardings = (_shardings(mesh), jax.sharding.NamedSharding(mesh, _ALIKE))
+    shardings = (_shardings(mesh), sharding(mesh))
     return jax.jit(sharded, donate_argnums=0, out_shardings=shardings)
 
 
@@ -148,16 +148,15 @@ def over_devices(function: Callable[..., OutT], mesh: jax.sharding.Mesh) -> Call
     return jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
 
 
-def placed(mesh: jax.sharding.Mesh, tree: TreeT, axis: int | None = None) -> TreeT:
-    """Returns a pytree like `tree` that says where its leaves are.
+def sharding(mesh: jax.sharding.Mesh, axis: int | None = None) -> jax.sharding.NamedSharding:
+    """Returns where an array is.
 
     Args:
       mesh: of `make_mesh`.
-      tree: of arrays, real or abstract.
-      axis: by which all of them are spread over the devices; None: every device has all.
+      axis: by which it is spread over the devices; None: every device has all of it.
     """
     spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, peg_a2c.AXIS)
-    return jax.tree.map(lambda _: jax.sharding.NamedSharding(mesh, spec), tree)
+    return jax.sharding.NamedSharding(mesh, spec)
 
 
 def local(tree: TreeT) -> TreeT:
