@@ -6,8 +6,9 @@ backward pass over all of its workers, and `pmean` averages over devices. Every 
 from the stream of its worker, which is derived from the worker's global index: how workers are
 spread over devices changes nothing but rounding.
 
-A network may come in two halves, `look` and `judge`: what is looked at while acting is then kept,
-and learning, with the parameters that acted, only judges it again.
+A network may have two halves: `encode`, from observation to encoding, and `predict`, from encoding
+to logits and value. Encodings are then kept while acting, and learning, which uses the parameters
+that acted, computes only the second half again.
 """
 
 import dataclasses
@@ -26,25 +27,25 @@ from eihrl_jax.config import high
 from eihrl_jax.ops import losses, returns, tree
 
 Obs: TypeAlias = PyTree[Array]
-"""What a policy sees, whatever the environment shows."""
+"""An observation, of any structure."""
 
-Evidence: TypeAlias = PyTree[Array]
-"""What the network's first half makes of an observation; of a network without halves, that."""
+Encoding: TypeAlias = PyTree[Array]
+"""What `encode` returns; of a network without halves, the observation itself."""
 
 Counts: TypeAlias = dict[str, Float[Array, ""]]
-"""Numbers of decisions and episodes, and sums of what the environment measures."""
+"""Numbers of decisions and episodes, and sums of the environment's metrics."""
 
 AXIS = "workers"
 """Mesh axis over which workers are spread; `update` must run inside a `shard_map` over it."""
 
 
 class LearnerState(struct.PyTreeNode):
-    """All that is needed to continue. W workers.
+    """All that a run needs to continue. W: workers.
 
     Attributes:
       params: parameters of the network.
       opt_state: state of the optimiser.
-      env_state: each worker's environment; between whole episodes it has no meaning.
+      env_state: each worker's environment; unused where every update takes whole episodes.
       keys: each worker's stream.
       num_updates: updates so far.
       num_decisions: decisions of all workers so far.
@@ -62,17 +63,17 @@ class Decision(struct.PyTreeNode):
     """One decision of a worker, or with a leading axis T a worker's decisions.
 
     Attributes:
-      evidence: what the policy made of what it saw.
+      encoding: of the observation.
       action: index of the subgoal.
       value: V(obs) of the acting parameters.
       reward: unitless.
       terminated: the episode ended for good with this decision.
       truncated: the time limit cut the episode after this decision.
-      is_counted: whether it belongs to an episode; false after the end of a whole episode.
-      metrics: what the environment measures.
+      is_counted: whether it belongs to the episode; false after the end of a whole episode.
+      metrics: the environment's.
     """
 
-    evidence: Evidence
+    encoding: Encoding
     action: Int[Array, ""]
     value: Float[Array, ""]
     reward: Float[Array, ""]
@@ -83,17 +84,17 @@ class Decision(struct.PyTreeNode):
 
 
 class Batch(struct.PyTreeNode):
-    """What a worker learns from: its T decisions and what followed them.
+    """A worker's T decisions with their targets.
 
     Attributes:
-      evidence: what the policy made of what it saw.
+      encoding: of the observation.
       action: index of the subgoal.
       return_: return from the decision on, R_j in the paper.
       advantage: return_ - V(obs) of the acting parameters.
       weight: 1 / t_i for the t_i decisions that count, 0 for the others; sums to 1.
     """
 
-    evidence: Evidence
+    encoding: Encoding
     action: Int[Array, " T"]
     return_: Float[Array, " T"]
     advantage: Float[Array, " T"]
@@ -153,12 +154,12 @@ class PegA2C:
         )
 
     def update(self, state: LearnerState) -> tuple[LearnerState, dict[str, Float[Array, ""]]]:
-        """Lets every worker of this device act, and makes one step along all devices' gradient.
+        """Lets this device's workers act, and takes a step along all devices' mean gradient.
 
         Returns:
-          The next state, and metrics over all devices: `decisions` and `episodes` count what was
-          done and what ended, `sum_<name>` adds the environment's metrics over the episodes that
-          ended, the rest are means over decisions.
+          The next state, and metrics over all devices: `decisions` counts decisions, `episodes`
+          those that ended, `sum_<name>` adds the environment's metrics over these, and all others
+          are means over decisions.
 
         Source: paper, Algorithm 1, lines 4 to 19.
         """
@@ -194,27 +195,27 @@ class PegA2C:
         """Lets one worker act for one update: one window, or one whole episode.
 
         Returns:
-          Its environment, what to learn from, and the counts of `update`.
+          Its environment, its batch, and the counts described at `update`.
 
         Source: paper, Algorithm 1, lines 7 to 14.
-        Differs from the paper: with a window a value stands for what lies beyond the window and,
-          where the learner looks beyond it, beyond the time limit.
+        Differs from the paper: with a window, returns are bootstrapped from the value at the
+          window's end and, with `looks_beyond_limit`, from the value at the time limit.
         """
         if self.learner.window is None:
             return self.collect_episode(params, key)
 
         env_state, cut_obs, decisions = self._decide(params, env_state, key)
-        # A window may end amid an episode, of which the value stands for the rest.
-        _, end_value = self._judge(params, self._look(params, env_state.obs))
+        # A window may end amid an episode: the value stands for the return of its rest.
+        _, end_value = self._predict(params, self._encode(params, env_state.obs))
         cut_value = jnp.float32(0.0)
         if self.learner.looks_beyond_limit:
-            _, cut_value = self._judge(params, self._look(params, cut_obs))
+            _, cut_value = self._predict(params, self._encode(params, cut_obs))
         return env_state, self._batch(decisions, end_value, cut_value), _counts(decisions)
 
     def collect_episode(
         self, params: base.Params, key: Key[Array, ""], *, greedy: bool = False
     ) -> tuple[base.EnvState, Batch, Counts]:
-        """Lets one worker act for one episode from its start; returns what `collect` does.
+        """Lets one worker act for one whole episode; returns the same as `collect`.
 
         Args:
           params: parameters of the network.
@@ -224,18 +225,18 @@ class PegA2C:
         reset_key, act_key = jax.random.split(key)
         start = self.env.reset(reset_key)
         env_state, _, decisions = self._decide(params, start, act_key, greedy=greedy)
-        # A whole episode ends by its goals or its time limit: nothing is expected beyond either.
-        nothing = jnp.float32(0.0)
-        return env_state, self._batch(decisions, nothing, nothing), _counts(decisions)
+        # A whole episode ends by its goals or its time limit: no return is expected after either.
+        zero = jnp.float32(0.0)
+        return env_state, self._batch(decisions, zero, zero), _counts(decisions)
 
     def gradient(
         self, params: base.Params, batch: Batch, num_updates: Int[Array, ""]
     ) -> tuple[base.Params, dict[str, Float[Array, ""]]]:
-        """Computes the gradient of the mean loss of some workers.
+        """Computes the gradient of the workers' mean loss.
 
-        One backward pass serves all workers at one step of their windows; over the steps gradients
-        are added up, because a batch that stays in the processor's cache takes about half the time
-        per decision (two cores, 1024 workers: 3.0 instead of 5.5 microseconds).
+        It is accumulated over the T steps, one backward pass for all workers at a time, because a
+        batch that stays in the processor's cache takes about half the time per decision (two cores,
+        1024 workers: 3.0 instead of 5.5 microseconds).
 
         Args:
           params: parameters of the network.
@@ -259,14 +260,14 @@ class PegA2C:
             loss = means["policy_loss"] - entropy_coef * means["entropy"]
             return loss + self.learner.value_coef * means["value_loss"], means
 
-        # A worker's weights add up to 1, those of a step don't: steps are added, workers averaged.
+        # A worker's weights sum to 1 over its steps: so steps are added, and workers averaged.
         def add_step(total, decisions):
             step = jax.grad(mean_loss, has_aux=True)(params, decisions)
             return jax.tree.map(jnp.add, total, step), None
 
         names = ("policy_loss", "value_loss", "entropy")
-        nothing = (jax.tree.map(jnp.zeros_like, params), dict.fromkeys(names, jnp.float32(0.0)))
-        total, _ = jax.lax.scan(add_step, nothing, batch)
+        zero = (jax.tree.map(jnp.zeros_like, params), dict.fromkeys(names, jnp.float32(0.0)))
+        total, _ = jax.lax.scan(add_step, zero, batch)
         return total
 
     def _decide(
@@ -280,20 +281,21 @@ class PegA2C:
         """Lets one worker make its decisions.
 
         Returns:
-          Its environment, the last observation at which a time limit fell, and the decisions.
+          Its environment, the observation at the last time limit (None unless the learner looks
+          beyond it), and the decisions.
         """
         has_window = self.learner.window is not None
         looks_beyond = has_window and self.learner.looks_beyond_limit
 
         def decide(carry, step_key):
             env_state, is_running, cut_obs = carry
-            evidence = self._look(params, env_state.obs)
-            logits, value = self._judge(params, evidence)
+            encoding = self._encode(params, env_state.obs)
+            logits, value = self._predict(params, encoding)
             drawn = logits.argmax() if greedy else jax.random.categorical(step_key, logits)
             action = drawn.astype(jnp.int32)
             following = self.env.step(env_state, action)
             decision = Decision(
-                evidence=evidence,
+                encoding=encoding,
                 action=action,
                 value=value,
                 reward=following.reward,
@@ -303,11 +305,11 @@ class PegA2C:
                 metrics=following.metrics,
             )
 
-            # Behind the end of a whole episode nothing counts; a window goes on in the next one.
+            # After the end of a whole episode nothing counts; a window goes on in the next one.
             is_running &= has_window | ~following.is_over
             if looks_beyond:
                 cut_obs = tree.where(following.truncated, following.final_obs, cut_obs)
-            else:  # Nobody looks at it, so that XLA need not draw it.
+            else:  # Unused: so XLA needn't draw the picture.
                 following = following.replace(final_obs=following.obs)
             return (following, is_running, cut_obs), decision
 
@@ -317,22 +319,22 @@ class PegA2C:
         )
         return env_state, cut_obs, decisions
 
-    def _look(self, params: base.Params, obs: Obs) -> Evidence:
-        """Returns what the network's first half makes of an observation."""
-        if not hasattr(self.network, "look"):
+    def _encode(self, params: base.Params, obs: Obs) -> Encoding:
+        """Applies the network's first half, if it has one."""
+        if not hasattr(self.network, "encode"):
             return obs
-        return cast(Evidence, self.network.apply(params, obs, method="look"))
+        return cast(Encoding, self.network.apply(params, obs, method="encode"))
 
-    def _judge(
-        self, params: base.Params, evidence: Evidence
+    def _predict(
+        self, params: base.Params, encoding: Encoding
     ) -> tuple[Float[Array, "4"], Float[Array, ""]]:
-        """Returns the logits of the subgoals and the value of what `_look` returned."""
-        method = "judge" if hasattr(self.network, "judge") else None
-        return cast(tuple[Array, Array], self.network.apply(params, evidence, method=method))
+        """Returns the logits of the subgoals and the value, from what `_encode` returned."""
+        method = "predict" if hasattr(self.network, "predict") else None
+        return cast(tuple[Array, Array], self.network.apply(params, encoding, method=method))
 
     def _loss_terms(self, params: base.Params, decision: Batch) -> dict[str, Float[Array, ""]]:
         """Computes the terms of the loss for one decision."""
-        logits, value = self._judge(params, decision.evidence)
+        logits, value = self._predict(params, decision.encoding)
         return {
             "policy_loss": losses.policy_gradient(logits, decision.action, decision.advantage),
             "value_loss": losses.value_error(value, decision.return_),
@@ -346,26 +348,26 @@ class PegA2C:
 
         Args:
           decisions: with axis T.
-          end_value: value of what comes after the last decision.
-          cut_value: value of the observation at which the time limit fell.
+          end_value: value after the last decision.
+          cut_value: value of the observation at the time limit.
         """
         is_counted, terminated, truncated = (
             x.astype(jnp.float32)
             for x in (decisions.is_counted, decisions.terminated, decisions.truncated)
         )
 
-        # Paper: Algorithm 1, lines 12 to 14, where lambda is 1 and nothing lies beyond the end.
+        # Paper: Algorithm 1, lines 12 to 14, where lambda is 1 and no value is bootstrapped.
         following_value = jnp.append(decisions.value[1:], end_value)
         return_ = returns.lambda_returns(
             decisions.reward * is_counted,
             self.learner.gamma * (1.0 - terminated),
             jnp.where(decisions.truncated, cut_value, following_value),
-            # Behind a time limit lies another episode, whose return doesn't count for this one.
+            # After a time limit comes another episode, whose return isn't part of this one's.
             self.learner.lambda_ * (1.0 - truncated),
         )
 
         return Batch(
-            evidence=decisions.evidence,
+            encoding=decisions.encoding,
             action=decisions.action,
             return_=return_,
             advantage=return_ - decisions.value,
@@ -384,8 +386,8 @@ class PegA2C:
 
 
 def _counts(decisions: Decision) -> Counts:
-    """Counts one worker's decisions and the episodes that ended, and adds up what they measured."""
-    # Nothing counts behind the end of a whole episode, so that it ends only once.
+    """Counts one worker's decisions and ended episodes, and adds up the metrics of the latter."""
+    # After the end of a whole episode nothing counts, so that it ends only once.
     is_end = decisions.is_counted & (decisions.terminated | decisions.truncated)
     sums = {f"sum_{name}": jnp.sum(x, where=is_end) for name, x in decisions.metrics.items()}
     counts = {"decisions": decisions.is_counted, "episodes": is_end}

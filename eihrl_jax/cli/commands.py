@@ -1,4 +1,4 @@
-"""The table of commands; each is imported when it is called, so that a list of them is instant.
+"""The table of commands; each imports its modules when it is called, so that listing is instant.
 
 `eihrl <command>` and `python -m experiments.<command>` are the same.
 """
@@ -20,7 +20,7 @@ EARLIER = {("", "--peers"): "--baselines", ("--parts", "peers"): "baselines"}
 
 
 def _close(run: pathlib.Path, following: str) -> None:
-    """Prints what a training has written, and which command comes next."""
+    """Prints what a training run has written, and which command comes next."""
     print(f"written to {run}: policy, metrics.csv, learning_curve.png")
     print(f"next: eihrl {following}")
 
@@ -92,7 +92,7 @@ def evaluate() -> Command:
 
 
 def measure_low() -> Command:
-    """Measures how evenly a low level walks, and records its postures."""
+    """Measures how accurately a low level follows subgoals, and records its postures."""
     from eihrl_jax.config import measure as measure_config
     from eihrl_jax.evaluation import tables
     from eihrl_jax.reporting import measurements
@@ -110,7 +110,7 @@ def measure_low() -> Command:
 
 
 def dataset() -> Command:
-    """Writes episodes of a hierarchy as a dataset of Minari."""
+    """Writes episodes of a hierarchy as a Minari dataset."""
     from eihrl_jax import datasets
     from eihrl_jax.config import dataset as dataset_config
 
@@ -126,7 +126,7 @@ def dataset() -> Command:
 
 
 def plot() -> Command:
-    """Draws the learning curves of runs in one picture, seeds together."""
+    """Draws the learning curves of runs in one picture, with mean and range over seeds."""
     from eihrl_jax.config import runs as runs_config
     from eihrl_jax.reporting import run_comparison
 
@@ -137,7 +137,7 @@ def plot() -> Command:
 
 
 def compare() -> Command:
-    """Tells in which options runs differ, what they came to and how long they took."""
+    """Compares runs: the options in which they differ, their last metrics and their durations."""
     from eihrl_jax.config import runs as runs_config
     from eihrl_jax.evaluation import tables
     from eihrl_jax.reporting import run_comparison
@@ -150,7 +150,7 @@ def compare() -> Command:
 
 
 def robot() -> Command:
-    """Proposes a description for any robot's MJCF, and tries it out."""
+    """Proposes a robot description for any MJCF file, and tries it out."""
     from eihrl_jax.config import robot as robot_config
     from eihrl_jax.reporting import robot_trials
 
@@ -174,7 +174,7 @@ def report() -> Command:
 
 
 def maze() -> Command:
-    """Shows a maze of any known kind as text and picture, and saves it as ours."""
+    """Shows a maze in any known format as text and picture, and converts it to ours."""
     from eihrl_jax.config import maze as maze_config
     from eihrl_jax.reporting import maze_views
 
@@ -217,7 +217,7 @@ def demo() -> Command:
 
 
 def value_gap() -> Command:
-    """Compares bounds on the hierarchy's loss with the loss that is measured."""
+    """Compares bounds on the hierarchy's loss of value with the measured loss."""
     from eihrl_jax.config import value_gap as gap_config
     from eihrl_jax.reporting import value_gaps
 
@@ -239,7 +239,7 @@ def predict() -> Command:
 
 
 def benchmark() -> Command:
-    """Measures speeds, and how far the two physics engines part."""
+    """Measures speeds, and how far the two physics engines diverge."""
     from eihrl_jax.benchmarks import suite
 
     return Command(suite.main, suite.BenchmarkConfig, uses_all_cores=True, earlier=EARLIER)
@@ -295,7 +295,7 @@ def reproduce_higl() -> Command:
 
 
 def faults() -> Command:
-    """Kills and otherwise disturbs runs, goes on with them and compares bit for bit."""
+    """Kills and disturbs runs, resumes them and compares the results bit for bit."""
     from eihrl_jax.studies import faults as faults_lib
 
     return Command(lambda options: faults_lib.main(options, main), faults_lib.FaultsConfig)
@@ -351,7 +351,7 @@ def run(name: str) -> None:
 @output.outlives_its_reader
 def main(argv: Sequence[str] | None = None) -> None:
     """Runs `eihrl <command> [options]`, or lists the commands."""
-    # No parser for so little: all options are those of the commands, see `shell`.
+    # Parsed by hand: all options but these two belong to the commands, see `shell`.
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in ("-h", "--help"):
         print(_list())
@@ -363,7 +363,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     name = words[0].replace("-", "_")  # either spelling will do
     if name not in COMMANDS:
         print(f"error: {_unknown(words[0])}", file=sys.stderr)
-        sys.exit(2)  # as `shell.fail`, without importing what a command needs
+        sys.exit(2)  # as `shell.fail` does, whose import takes a second
     _run(name, words[1:], f"eihrl {_spelled(name)}")
 
 
@@ -391,7 +391,7 @@ def _unknown(word: str) -> str:
     # One suggestion if a name is close, else all there are.
     near = difflib.get_close_matches(word, names, n=1)
     hint = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(names)}"
-    return f"{word!r} is no command; {hint}"
+    return f"{word!r} is not a command; {hint}"
 
 
 def _spelled(name: str) -> str:

@@ -1,7 +1,7 @@
-"""The law of a robot's end points: where its subgoals ended, one row for each that was measured.
+"""A robot's measured end points: where its subgoals ended, one row per subgoal.
 
-Where a subgoal ends hangs on how the robot comes into it: straight on, out of a turn, out of
-standing still, or lying on the ground. So each row also says that.
+The end point depends on how the subgoal began: straight on, after a turn, from standing still, or
+from the ground. So each row also has this condition.
 """
 
 import dataclasses
@@ -17,8 +17,8 @@ FILE = "ends.npz"
 """Name of the file in which a measurement keeps its end points."""
 
 CONDITIONS = ("ahead", "left", "behind", "right", "rest", "down")
-"""How a subgoal began: where it points, seen from the one before; after standing still, as an
-episode does; or on the ground, which counts as `rest` for the next one once the robot stands."""
+"""How a subgoal began: its direction relative to the previous one; from standing still (`rest`), as
+in an episode's first decision and after getting up; or from the ground (`down`)."""
 
 AHEAD, LEFT, BEHIND, RIGHT, REST, DOWN = range(len(CONDITIONS))
 
@@ -28,12 +28,13 @@ _QUARTERS = (0, 2, 1, 3)
 
 @dataclasses.dataclass(frozen=True)
 class EndPoints:
-    """Ends of S subgoals that no wall was in the way of.
+    """End points of S subgoals without a wall in the way.
 
     Attributes:
       condition: int [S], how each began, an index of `CONDITIONS`.
-      along: float [S], displacement along the subgoal from where it counted, units.
-      lateral: float [S], the same to its left.
+      along: float [S], displacement along the subgoal from its origin (the torso, or for anchored
+        subgoals `task.anchor`), units.
+      lateral: float [S], displacement to the subgoal's left, units.
       is_down: bool [S], whether the robot lay on the ground at its end.
     """
 
@@ -44,19 +45,19 @@ class EndPoints:
 
 
 def turns() -> Int[np.ndarray, "4 4"]:
-    """Returns the condition under which the second direction of two begins, by both."""
+    """Returns the condition of a direction (second axis) after another one (first axis)."""
     quarters = np.array(_QUARTERS)
     return (quarters[None] - quarters[:, None]) % base.NUM_DIRECTIONS
 
 
 def save(path: pathlib.Path, robot: str, anchored: EndPoints, free: EndPoints) -> None:
-    """Writes a robot's end points of anchored subgoals, and of those that count from its torso."""
+    """Writes a robot's end points of anchored subgoals, and of free ones."""
     tables = {"anchored": _table(anchored), "free": _table(free)}
     archives.write(path, {"robot": np.array(robot), **tables})
 
 
 def _table(ends: EndPoints) -> Float[np.ndarray, "S 4"]:
-    """Returns end points as numbers: two millimetres at three metres, finer than they are known."""
+    """Returns end points as float16: precise to 2 mm at 3 m, finer than they are measured."""
     columns = ends.condition, ends.along, ends.lateral, ends.is_down
     return np.stack(columns, 1).astype(np.float16)
 
@@ -70,7 +71,8 @@ def load(path: pathlib.Path, robot: str, *, anchored: bool) -> EndPoints:
       anchored: whether those of anchored subgoals are wanted.
 
     Raises:
-      base.UserError: there is no such file, it is damaged or another robot's, or it has none.
+      base.UserError: the file doesn't exist, is damaged, is of another robot, or holds no such end
+        points.
     """
     kind = "anchored" if anchored else "free"
     try:
@@ -85,10 +87,12 @@ def load(path: pathlib.Path, robot: str, *, anchored: bool) -> EndPoints:
         raise base.UserError(f"end points {path} hold no {kind} subgoals, or not whole ones")
     condition, along, lateral, is_down = table.T
     if not np.isin(condition, range(len(CONDITIONS))).all():
-        raise base.UserError(f"end points {path} tell of subgoals that begin in no known way")
+        raise base.UserError(
+            f"end points {path} have a condition that isn't in 0 to {len(CONDITIONS) - 1}"
+        )
     return EndPoints(condition.astype(np.int64), along, lateral, is_down > 0.0)
 
 
 def shipped(robot: str) -> pathlib.Path:
-    """Returns where the package holds those of a robot's low level, if it has one."""
+    """Returns the path of the end points that the package ships for a robot, if it does."""
     return base.PRETRAINED / robot / FILE

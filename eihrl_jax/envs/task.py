@@ -1,11 +1,11 @@
 """The navigation task, the same with oracle movement and with physics (paper, Sec. 4.1, App. D).
 
-An episode draws a maze, a start and, where there are candidates, a door. Every goal region pays 1
-when the torso first enters it, in any order; the episode terminates with the last of them and is
-truncated at its number of decisions.
+An episode draws a maze, a start and, where there are candidates, a door. The reward is 1 when the
+torso first enters a goal region, in any order of the goals; the episode terminates with the last of
+them and is truncated at its number of decisions.
 
-Mazes are prepared once (`prepare`) so that a decision costs a few look-ups whatever their size: an
-episode holds the number of its maze and its open door instead of a copy of the maze.
+Mazes are prepared once (`prepare`), so that a decision costs a few look-ups whatever their size: an
+episode's state holds the index of its maze and its open door instead of a copy of the maze.
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,10 @@ from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.mazes import paths
 
 MAX_WAY_BACK = 1.0
-"""Units that an anchored subgoal takes a robot back towards the middle of its cell at most."""
+"""Greatest distance from the robot to an anchored subgoal's origin, units, see `anchor`."""
 
 NO_DOOR = -1000
-"""Row and column of the open door in a maze without door candidates: farther than one can see."""
+"""Row and column of the open door in a maze without door candidates: outside of any view."""
 
 
 class MazeTable(struct.PyTreeNode):
@@ -34,16 +34,16 @@ class MazeTable(struct.PyTreeNode):
 
     Attributes:
       mazes: the mazes as they were given, with leading axis M.
-      codes: uint8 [M, R + 2 m, C + 2 m], see `mazes.maze.codes`; no candidate is open, and a margin
-        of m cells is wall, which stands for everything outside the grid.
+      codes: uint8 [M, R + 2 m, C + 2 m], see `mazes.maze.codes`; all door candidates closed, with a
+        margin of m cells of wall, which stands for everything outside the grid.
       start_ij: int32 [M, S, 2], row and column of the start cells, padded to the longest list.
-      door_ij: int32 [M, D, 2], the same of the candidates; `NO_DOOR` where there is none.
+      door_ij: int32 [M, D, 2], the same of the door candidates; `NO_DOOR` where there is none.
       num_starts: int32 [M].
       num_doors: int32 [M], at least 1.
-      num_both: int32 [M], cells that are both, which stand first in both lists.
+      num_both: int32 [M], cells that are start and candidate; they come first in both lists.
       goal_xy: float32 [M, 9, P, 2], where the goals are, units: P places each, of which the nearest
         counts, see `mazes.maze.goal_places`; padded to the longest list.
-      margin: m, at least 1 and at least what a map shows to every side.
+      margin: m, at least 1 and at least the radius of a map around the robot, cells.
     """
 
     mazes: maze_lib.Maze
@@ -66,11 +66,11 @@ class Navigation(struct.PyTreeNode):
     """The state of an episode.
 
     Attributes:
-      maze: int32, which maze of the table.
+      maze: int32, index of the maze in the table.
       door_ij: int32 [2], row and column of the open door, or `NO_DOOR`.
-      visited: bool [9], goals that have been paid.
+      visited: bool [9], goals that have been visited.
       decisions: int32, decisions so far.
-      start_ij: int32 [2], row and column of the cell in which it began.
+      start_ij: int32 [2], row and column of the start cell.
       seen: bool [R + 2 m, C + 2 m], cells that have been in sight; None without a map.
     """
 
@@ -83,12 +83,12 @@ class Navigation(struct.PyTreeNode):
 
 
 class Place(struct.PyTreeNode):
-    """Where an episode is to start, and which goal it is to have, instead of drawn ones.
+    """A given start and goal of an episode, in place of drawn ones.
 
     Attributes:
       start_ij: int32 [2], row and column of the start cell.
-      goal_ij: int32 [2], row and column of the cell that is goal 1; `NO_DOOR` where the maze's own
-        goals stay.
+      goal_ij: int32 [2], row and column of the cell that becomes goal 1; `NO_DOOR` to keep the
+        maze's own goals.
     """
 
     start_ij: Int[Array, "2"]
@@ -105,13 +105,13 @@ def prepare(mazes: maze_lib.Maze, margin: int = 1) -> MazeTable:
     if mazes.wall.ndim == 2:
         mazes = jax.tree.map(lambda leaf: leaf[None], mazes)
 
-    # As lists of cells: drawing one of a list needs no search through the grid.
+    # Lists of cells instead of masks, so that drawing a cell is one look-up.
     start, door = np.asarray(mazes.start), np.asarray(mazes.door)
     both = [paths.cells(mask) for mask in start & door]
     starts = [b + paths.cells(mask) for b, mask in zip(both, start & ~door, strict=True)]
     doors = [b + paths.cells(mask) for b, mask in zip(both, door & ~start, strict=True)]
     doors = [cells or [(NO_DOOR, NO_DOOR)] for cells in doors]
-    # Rarely more than one place of a goal; padded with places of the same one.
+    # Goals rarely have several places; shorter lists repeat their own.
     places = [maze_lib.goal_places(goal) for goal in np.asarray(mazes.goal)]
     longest = max(len(xy) for of_maze in places for xy in of_maze)
     goal_xy = [[np.resize(xy, (longest, 2)) for xy in of_maze] for of_maze in places]
@@ -143,8 +143,8 @@ def start(
     Args:
       table: the mazes.
       key: consumed.
-      maze: which maze it is to be; None: any.
-      place: where it starts and what its goal is; None: drawn.
+      maze: index of the maze; None: drawn.
+      place: start and goal; None: drawn.
 
     Returns:
       The episode at its beginning, and the robot's position in units.
@@ -156,7 +156,8 @@ def start(
         maze = pick(draws[0], jnp.int32(table.num_mazes))
     door = pick(draws[1], _of(table.num_doors, maze))
 
-    # Where the goal might be a start as well, it stands in both lists at the same place: left out.
+    # A cell that is both stands at the same index in both lists: so the open door, if it is a start
+    # as well, is skipped.
     is_start = door < _of(table.num_both, maze)
     cell = pick(draws[2], _of(table.num_starts, maze) - is_start.astype(jnp.int32))
     cell = jnp.where(is_start & (cell >= door), cell + 1, cell)
@@ -181,15 +182,15 @@ def advance(
     path_xy: Float[Array, "T 2"],
     reward: base.Reward = "sparse",
 ) -> tuple[Navigation, base.Outcome]:
-    """Counts one decision and pays for it (paper, App. D).
+    """Counts one decision and computes its reward (paper, App. D).
 
     Args:
       table: the mazes.
       nav: the episode before the decision.
       path_xy: torso positions during the decision, the last one where it ended, units.
-      reward: what is paid. Sparse: the number of goals entered for the first time. Dense: see
-        `dense_reward`, where the decision ended. Then the last goal doesn't end the episode, and
-        every decision after it pays 1: else waiting beside the goal would pay more.
+      reward: "sparse": number of goals entered for the first time. "dense": `dense_reward` where
+        the decision ended; then the episode goes on after the last goal, with reward 1 for each
+        decision: otherwise waiting beside the goal would be worth more.
 
     Returns:
       The episode after the decision, and what it led to.
@@ -210,10 +211,10 @@ def advance(
 
 
 def anchor(xy: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Returns from where an anchored subgoal counts: the centre of the robot's own cell, in units.
+    """Returns the origin of an anchored subgoal, units: the centre of the robot's cell.
 
-    Where the centre is farther than `MAX_WAY_BACK`, as for a robot that leans on a wall, it is the
-    point that far on the way to it. So offsets of many subgoals don't add up.
+    Where the centre is farther away than `MAX_WAY_BACK`, as for a robot that leans on a wall, it is
+    the point at that distance towards it. So the offsets of successive subgoals don't add up.
 
     Differs from the paper: its subgoals are displacements from where the robot is.
     """
@@ -223,17 +224,18 @@ def anchor(xy: Float[Array, "2"]) -> Float[Array, "2"]:
 
 
 def success(table: MazeTable, nav: Navigation) -> Float[Array, ""]:
-    """Returns the visited share of the goals, the paper's success."""
+    """Returns the share of the goals that have been visited, which the paper calls success."""
     visited = nav.visited.sum(dtype=jnp.float32)
     return visited / _of(table.mazes.num_goals, nav.maze).astype(jnp.float32)
 
 
 def current_goal_xy(table: MazeTable, nav: Navigation, xy: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Returns where the unvisited goal with the lowest number is, seen from `xy`, units.
+    """Returns the position of the unvisited goal with the lowest number, units.
 
-    Once all have been visited, it is that of the last one. See `mazes.maze.goal_places`.
+    Of a goal with several places it is the one nearest to `xy`, see `mazes.maze.goal_places`. Once
+    all goals have been visited, it is the last one's.
     """
-    # `visited` has nine entries in every maze; those without a goal stay False.
+    # `visited` has nine entries in every maze; those beyond `num_goals` stay False.
     last = _of(table.mazes.num_goals, nav.maze) - 1
     current = jnp.where(nav.visited.all(), last, jnp.minimum(jnp.argmin(nav.visited), last))
 
@@ -248,7 +250,7 @@ def current_goal_xy(table: MazeTable, nav: Navigation, xy: Float[Array, "2"]) ->
 def dense_reward(table: MazeTable, nav: Navigation, xy: Float[Array, "2"]) -> Float[Array, ""]:
     """Returns 1 / (1 + d), d the distance in units to the current goal (paper, App. D.2).
 
-    Once all goals have been visited, the reward is that of having arrived, 1.
+    Once all goals have been visited, it is 1, as at the goal.
     """
     distance = jnp.sqrt(((current_goal_xy(table, nav, xy) - xy) ** 2).sum())
     current = jnp.argmin(nav.visited)
@@ -257,14 +259,20 @@ def dense_reward(table: MazeTable, nav: Navigation, xy: Float[Array, "2"]) -> Fl
 
 
 def code_at(table: MazeTable, nav: Navigation, xy: Float[Array, "*k 2"]) -> UInt8[Array, "*k"]:
-    """Returns the codes (see `mazes.maze.codes`) at positions in units, the open door a goal."""
+    """Returns the codes of the cells at some positions, see `mazes.maze.codes`.
+
+    Args:
+      table: the mazes.
+      nav: the episode, whose open door counts as goal 1.
+      xy: positions, units.
+    """
     i = jnp.floor(-xy[..., 1] / base.CELL).astype(jnp.int32)
     j = jnp.floor(xy[..., 0] / base.CELL).astype(jnp.int32)
     return _codes(table, nav, i, j)
 
 
 def look(table: MazeTable, nav: Navigation, xy: Float[Array, "2"], view: raster.View) -> Navigation:
-    """Adds to the map, where the view has one, what is in sight at `xy`."""
+    """Adds the cells in sight from `xy` (units) to the map, if the view has one."""
     if not view.has_map:
         return nav
     _, rows, columns = table.codes.shape
@@ -280,7 +288,15 @@ def observe(
     silhouette: UInt32[Array, "P W"],
     view: raster.View,
 ) -> raster.Picture:
-    """Draws what the high level sees, see `raster.draw` and `raster.draw_map`."""
+    """Draws the high level's observation: a map (`raster.draw_map`) or a picture (`raster.draw`).
+
+    Args:
+      table: the mazes.
+      nav: the episode.
+      xy: position of the torso, units.
+      silhouette: the robot's pixels, packed into bits, see `raster.draw`; unused for a map.
+      view: which of both, and how large.
+    """
     if view.has_map:
         return _map(table, nav, xy, view)
     codes = _codes(table, nav, *raster.window(xy, view))
@@ -303,10 +319,10 @@ def pick(uniform: Float[Array, ""], num: Int[Array, ""]) -> Int[Array, ""]:
 def _codes(
     table: MazeTable, nav: Navigation, i: Int[Array, "*#k"], j: Int[Array, "*#k"]
 ) -> UInt8[Array, "*k"]:
-    """Returns the codes of cells, those outside the grid wall and the open door goal 1."""
+    """Returns the codes of cells: outside the grid they are walls, the open door is goal 1."""
     num_mazes, rows, columns = table.codes.shape
 
-    # One flat index that can't be out of bounds: look-ups by several are much slower on CPU.
+    # A flat index within bounds: look-ups by several indices are much slower on CPU.
     padded_i, padded_j = i + table.margin, j + table.margin
     flat = jnp.clip(padded_i, 0, rows - 1) * columns + jnp.clip(padded_j, 0, columns - 1)
     if num_mazes > 1:
@@ -319,7 +335,7 @@ def _codes(
 
 
 def _known(table: MazeTable, nav: Navigation, knows: base.Knows) -> Bool[Array, "H W"]:
-    """Returns which cells of the padded grid are on the map before anything has been seen."""
+    """Returns which cells of the padded grid are on the map at the start of an episode."""
     if knows == "map":
         return jnp.ones(table.codes.shape[1:], bool)
     if knows == "goal":
@@ -331,7 +347,7 @@ def _known(table: MazeTable, nav: Navigation, knows: base.Knows) -> Bool[Array, 
 def _map(
     table: MazeTable, nav: Navigation, xy: Float[Array, "2"], view: raster.View
 ) -> raster.Picture:
-    """Draws the map of a whole maze with its margin, or of the cells around the robot's."""
+    """Draws a map of the whole maze with its margin, or of the cells around the robot."""
     *shape, _ = view.obs_shape
     robot_ij = maze_lib.cell_ij(xy) + table.margin
     # The margin is as wide as a map reaches, so that the slice stays inside the padded grid.
@@ -357,7 +373,7 @@ def _codes_in(
 
 
 def _of(column: Array, maze: Int[Array, ""]) -> Array:
-    """Returns one maze's entry in a column of the table; of a single maze without a look-up."""
+    """Returns one maze's entry in a column of the table, without a look-up if there is only one."""
     return column[0] if column.shape[0] == 1 else column[maze]
 
 

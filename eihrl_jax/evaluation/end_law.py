@@ -1,4 +1,4 @@
-"""A measured law of end points as a table: few places under each condition, and their weights."""
+"""A measured distribution of end points as a table: for each condition few points with weights."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,12 +9,12 @@ from eihrl_jax.envs import end_points
 
 
 class Law(struct.PyTreeNode):
-    """Where subgoals lead to, for each of the C conditions under which they begin K places.
+    """A distribution of end points: K for each of C conditions, see `end_points.CONDITIONS`.
 
     Attributes:
-      weight: float32 [C, K], probability of each place; rows sum to 1.
-      along: float32 [C, K], displacement along the subgoal from where it counts, units.
-      lateral: float32 [C, K], to its left.
+      weight: float32 [C, K], probability of each point; rows sum to 1.
+      along: float32 [C, K], displacement along the subgoal from its origin, units.
+      lateral: float32 [C, K], displacement to the subgoal's left, units.
       is_down: bool [C, K], whether the robot then lies on the ground.
     """
 
@@ -25,10 +25,10 @@ class Law(struct.PyTreeNode):
 
     @classmethod
     def of(cls, ends: end_points.EndPoints, pitch: float) -> "Law":
-        """Takes together the end points in each square of a grid, at their mean.
+        """Merges the end points in each square of a grid to one at their mean.
 
-        A condition that was never met is taken as any in which the robot stands; whoever lies on
-        the ground, and was never seen to begin a subgoal so, stays there.
+        A condition that was never measured takes the end points of all in which the robot stands.
+        If `down` was never measured, a robot on the ground is taken to stay there.
 
         Args:
           ends: as measured.
@@ -45,7 +45,7 @@ class Law(struct.PyTreeNode):
                 xy, is_down = np.zeros((1, 2)), np.ones(1, bool)
             ends_by_condition.append(_grouped(xy, is_down, pitch))
 
-        # As many columns as the longest needs; the others have no weight.
+        # Padded with points of weight 0 to the longest row.
         longest = max(len(rows) for rows in ends_by_condition)
         table = np.zeros((len(ends_by_condition), longest, 4), np.float32)
         for row, groups in zip(table, ends_by_condition, strict=True):
@@ -57,7 +57,7 @@ class Law(struct.PyTreeNode):
 def _grouped(
     xy: Float[np.ndarray, "S 2"], is_down: Bool[np.ndarray, " S"], pitch: float
 ) -> Float[np.ndarray, "K 4"]:
-    """Returns weight, mean place, and whether the robot is down, of all squares with end points."""
+    """Returns weight, mean x and y, and whether the robot is down, for squares with end points."""
     keys = np.column_stack([np.floor(xy / pitch), is_down])
     _, group = np.unique(keys, axis=0, return_inverse=True)
     counts = np.bincount(group)

@@ -1,6 +1,6 @@
-"""Episodes that run side by side; where few of many are left, they go on in a smaller program.
+"""A batch of episodes, which moves to a smaller compiled program when few of them are left.
 
-The program of a batch costs as much for an episode that is over as for one that runs, and in large
+A batch's program takes the same time for an episode that is over as for one that runs, and in large
 mazes the last episode takes many times as long as most.
 """
 
@@ -15,20 +15,20 @@ from eihrl_jax import base
 from eihrl_jax.evaluation import whereabouts as whereabouts_lib
 
 SHARE = 8
-"""The programs of a batch have this many times fewer episodes from one to the next."""
+"""Each smaller program has this many times fewer episodes than the one before."""
 
 MIN_DECISIONS = 500
-"""Decisions that must be left at most for a smaller program: it has to be compiled first."""
+"""A smaller program isn't worth compiling where at most fewer decisions than this are left."""
 
 
 class Lanes(NamedTuple):
-    """Some episodes of a batch of E. L: lanes, some of which may be over.
+    """Some episodes of a batch. L: lanes, one episode each; some episodes may be over.
 
     Attributes:
       state: of the environments, leaves [L, ...].
       places: where the torsos are, and have been.
-      keys: of the high level's draws.
-      recorded: lanes of the episodes that are recorded; any lane where such an episode is over.
+      keys: of the episodes' high levels.
+      recorded: lanes of the episodes that are recorded; lane 0 for one that was left behind.
       rows: which episode of the batch each lane is.
     """
 
@@ -44,18 +44,18 @@ class Lanes(NamedTuple):
         return ~np.asarray(self.state.is_over)
 
     def is_thin(self, num_left: int) -> bool:
-        """Returns whether the running episodes fit into a smaller program that pays.
+        """Returns whether the running episodes fit into a smaller program that is worth compiling.
 
         Args:
           num_left: most decisions that one of them has left.
         """
         if num_left < MIN_DECISIONS:
-            return False  # without a look at the device, as in most mazes
+            return False  # as in most mazes: no transfer from the device
         return 0 < int(self.is_running.sum()) <= len(self.rows) // SHARE
 
     def thinned(self) -> "Lanes":
         """Returns the running episodes, filled up with others to the size of the next program."""
-        # By numbers alone, so that the same episodes always run in the same programs.
+        # The number of running episodes alone decides: results don't depend on the machine.
         order = np.argsort(~self.is_running, kind="stable")
         chosen = np.sort(order[: len(self.rows) // SHARE])
         where = {int(lane): i for i, lane in enumerate(chosen)}
@@ -66,7 +66,7 @@ class Lanes(NamedTuple):
         return Lanes(state, places, keys, jnp.asarray(recorded, jnp.int32), self.rows[chosen])
 
     def put_back(self, part: "Lanes") -> "Lanes":
-        """Returns these lanes, with what has become of some or all of them since."""
+        """Returns these lanes with the states and places of those that are also in `part`."""
         if len(part.rows) == len(self.rows):
             return part
         state, places = jax.tree.map(

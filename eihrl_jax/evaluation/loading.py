@@ -23,36 +23,37 @@ from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import policies
 
 STAND, NOBODY = "stand", "none"
-"""Folder beside a low level of the one that stands the robot up; who does it where nobody does."""
+"""Folder, beside a low level's, of the policy that stands the robot up; name for no such policy."""
 
-Odds: TypeAlias = Callable[[raster.Picture], Float[Array, "4"]]
-"""From what a high level sees to the probability of each direction."""
+Probabilities: TypeAlias = Callable[[raster.Picture], Float[Array, "4"]]
+"""From a high level's observation to the probability of each direction."""
 
 
 @dataclasses.dataclass(frozen=True)
 class HighLevel:
-    """A high level that is ready to choose.
+    """A high level that is ready to act.
 
     Attributes:
       label: its name in tables.
-      policy: from what it sees and a key to a direction.
-      odds: from what it sees to the probability of each direction; a pytree like the policy.
-      view: what it had to see in training.
-      anchored: whether its subgoals counted from the middle of the robot's cell in training.
-      takes_any_map: whether its policy takes a map of any size instead.
-      is_certain: whether one direction has all the odds, whatever it sees.
+      policy: from an observation and a key to a direction.
+      probabilities: from an observation to the probability of each direction; a pytree like
+        `policy`.
+      view: what its observations showed in training.
+      anchored: whether its subgoals were anchored in training, see `task.anchor`.
+      takes_any_map: whether it also takes maps of other sizes than in training.
+      is_certain: whether it is deterministic: one direction always has probability 1.
     """
 
     label: str
     policy: rollouts.HighPolicy
-    odds: Odds
+    probabilities: Probabilities
     view: raster.View
     anchored: bool = False
     takes_any_map: bool = False
     is_certain: bool = False
 
     def view_in(self, stacked: mazes.Maze) -> raster.View:
-        """Returns what it has to see in some mazes: of a map as much as there is of the largest."""
+        """Returns its view in some mazes; a map of any size covers the largest of them."""
         rows, columns = stacked.wall.shape[-2:]
         return self.view.covering(rows, columns) if self.takes_any_map else self.view
 
@@ -119,17 +120,17 @@ def load_high(
     """
     if name in evaluate_config.UNIFORM_NAMES:
         policy = jax.tree_util.Partial(_uniform_direction)
-        odds = jax.tree_util.Partial(_uniform_odds)
-        return HighLevel(evaluate_config.UNIFORM, policy, odds, raster.View())
+        probabilities = jax.tree_util.Partial(_uniform_probabilities)
+        return HighLevel(evaluate_config.UNIFORM, policy, probabilities, raster.View())
 
     if name in (evaluate_config.FRONTIER, evaluate_config.SHORTEST):
         policy = jax.tree_util.Partial(_towards_the_unseen)
-        odds = jax.tree_util.Partial(_odds_towards_the_unseen)
+        probabilities = jax.tree_util.Partial(_probabilities_towards_the_unseen)
         # Five cells a side are in sight, as of preset `best`.
         known = "map" if name == evaluate_config.SHORTEST else knows or "nothing"
         view = raster.View(extent=15.0, pixels=25, map_radius=8, knows=known)
         return HighLevel(
-            name, policy, odds, view, anchored=True, takes_any_map=True, is_certain=True
+            name, policy, probabilities, view, anchored=True, takes_any_map=True, is_certain=True
         )
 
     path = policies.find(name, "high")
@@ -149,7 +150,7 @@ def load_high(
     return HighLevel(
         name,
         jax.tree_util.Partial(learned, params),
-        jax.tree_util.Partial(learned.odds, params),
+        jax.tree_util.Partial(learned.probabilities, params),
         view,
         movement.anchored,
         takes_any_map=actor_critic.takes_any_map(network),
@@ -176,7 +177,7 @@ class _Learned:
             return peg_a2c.mode(self.network, params, obs)
         return peg_a2c.sample(self.network, params, obs, key)
 
-    def odds(self, params: base.Params, obs: raster.Picture) -> Float[Array, "4"]:
+    def probabilities(self, params: base.Params, obs: raster.Picture) -> Float[Array, "4"]:
         """Returns the probability with which each direction is chosen."""
         if self.greedy:
             return _certain(peg_a2c.mode(self.network, params, obs))
@@ -287,24 +288,24 @@ def _uniform_direction(obs: raster.Picture | None, key: Key[Array, ""]) -> Int[A
     return jax.random.randint(key, (), 0, base.NUM_DIRECTIONS)
 
 
-def _uniform_odds(obs: raster.Picture) -> Float[Array, "4"]:
-    """Returns the odds of any direction, whatever it sees."""
+def _uniform_probabilities(obs: raster.Picture) -> Float[Array, "4"]:
+    """Returns the same probability for every direction, whatever it sees."""
     del obs
     return jnp.full(base.NUM_DIRECTIONS, 1.0 / base.NUM_DIRECTIONS)
 
 
-def _odds_towards_the_unseen(obs: raster.Picture) -> Float[Array, "4"]:
-    """Returns the odds of `_towards_the_unseen`, which needs no draw."""
+def _probabilities_towards_the_unseen(obs: raster.Picture) -> Float[Array, "4"]:
+    """Returns the probabilities of `_towards_the_unseen`, which is deterministic."""
     return _certain(_towards_the_unseen(obs, jax.random.key(0)))
 
 
 def _certain(direction: Int[Array, ""]) -> Float[Array, "4"]:
-    """Returns the odds where one direction has them all."""
+    """Returns probability 1 for one direction, 0 for the others."""
     return jax.nn.one_hot(direction, base.NUM_DIRECTIONS)
 
 
 def _towards_the_unseen(obs: raster.Picture, key: Key[Array, ""]) -> Int[Array, ""]:
-    """Goes for the nearest goal in view and else for the nearest cell that hasn't been seen.
+    """Heads for the nearest goal in view, or else for the nearest cell that hasn't been seen.
 
     Source: frontier-based exploration (Yamauchi 1997).
     """

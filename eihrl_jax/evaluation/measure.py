@@ -1,4 +1,4 @@
-"""Measures a low level: random subgoals on open floor, in rooms and corridors, step by step."""
+"""Measures how a low level follows random subgoals on open floor, in rooms and in corridors."""
 
 import dataclasses
 import math
@@ -27,13 +27,13 @@ from eihrl_jax.runs import progress as progress_lib
 SUBGOALS_PER_EPISODE = 20  # long enough that a fall's recovery is seen in its episode
 NUM_ROOMS = 256
 _ROOM_SEED = 2**32
-"""Added to the seed: rooms that no training, whose seeds are below, has drawn."""
+"""Added to the seed, so that rooms differ from those of any training, whose seeds are smaller."""
 
 DRIFT_AFTER = (1, 10, 100)
 """Numbers of subgoals after which `subgoals.Drift` is measured."""
 
 _DRIFT_SIZE = 2 * DRIFT_AFTER[-1] + 3
-"""Cells a side of the floor for it: nobody comes to its end."""
+"""Side of the floor for it, cells: so large that no robot reaches the border."""
 
 _KEPT = ("switched", "along", "lateral", "fell", "broke_down")
 """Metrics of `locomotion.Locomotion` that `Steps` holds."""
@@ -42,7 +42,7 @@ _DISPLACEMENT = (
     *("along_mean", "along_std", "lateral_mean", "lateral_std", "correlation"),
     *("along_distance", "lateral_distance"),
 )
-"""Fields of `subgoals.Statistics` about where subgoals end."""
+"""Fields of `subgoals.Statistics` about displacements."""
 
 
 class SubgoalStart(struct.PyTreeNode):
@@ -50,7 +50,7 @@ class SubgoalStart(struct.PyTreeNode):
 
     Attributes:
       is_upright: the robot had not fallen.
-      is_clear: no wall was in its way. In corridors directions are free, but walls are beside it.
+      is_clear: no wall was in its way; always true in corridors, which subgoals follow.
     """
 
     is_upright: Bool[Array, ""]
@@ -68,7 +68,7 @@ class Steps(struct.PyTreeNode):
       lateral: float32, displacement to its left when it ended, units.
       was_down: bool, the robot lay on the ground before this step.
       fell: float32, 1 where it fell in this step.
-      broke_down: float32, 1 where the simulation did.
+      broke_down: float32, 1 where the simulation became unstable in this step.
       ended: bool, the episode ended with this step.
       qpos: float32, MuJoCo's positions before this step.
     """
@@ -91,7 +91,7 @@ class Measurement:
 
     Attributes:
       robot: whose it is.
-      statistics: by surrounding.
+      statistics: by surroundings, such as `subgoals.OPEN`.
       drift: without and with anchors, after each of `DRIFT_AFTER`.
       standing: how many stand up again; None for a robot that can't fall.
       steps: on open floor, on the host.
@@ -122,7 +122,7 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
     robot = robots.load(options.robot)
     policy = loading.load_low(options.low or options.robot, robot, stand=options.stand)
 
-    # Open floor shows the gait alone; in rooms walls and turns disturb it as in a maze.
+    # Open floor shows the gait alone; in rooms walls disturb it as in a maze.
     engine = engines.make(robot, options.engine)
     seed = _ROOM_SEED + options.seed
     floors = {
@@ -147,7 +147,7 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
             done = index * num_steps * num_envs
             measured[name] = _follow(env, policy, num_envs, num_steps, key, bar, done)
 
-        # In one episode: the robots that are compared after 1, 10 and 100 subgoals are the same.
+        # One long episode, so that the figures after 1, 10 and 100 subgoals are of the same robots.
         for anchored in (False, True):
             floor = rooms.open_floor(_DRIFT_SIZE)
             env = _env(engine, floor, DRIFT_AFTER[-1] + 1, anchored=anchored)
@@ -170,7 +170,7 @@ def _env(
     return locomotion.Locomotion(
         engine,
         floor,
-        reward_options=low_config.LowReward(),  # of no account: nothing is learned here
+        reward_options=low_config.LowReward(),  # unused: nothing is learned here
         episode_steps=num_subgoals * engine.robot.steps_per_subgoal,
         ends_at_fall=False,  # so that recoveries can be counted
         anchored=anchored,
@@ -178,7 +178,7 @@ def _env(
 
 
 def _key(options: measure_config.MeasureConfig, stream: int) -> Key[Array, ""]:
-    """Returns a key of its own for each surrounding: none depends on another's being measured."""
+    """Returns the key of one measurement, which doesn't depend on what else is measured."""
     return jax.random.fold_in(jax.random.key(options.seed), stream)
 
 
@@ -207,7 +207,7 @@ def _follow(
         was_down = body_lib.is_fallen(before.physics.qpos, env.robot)
         now = SubgoalStart(is_upright=~was_down, is_clear=_is_clear(env, before))
 
-        # What holds when a subgoal is given is kept until it ends, k steps later.
+        # The conditions at a subgoal's start are carried along until it ends, k steps later.
         start = tree.where(before.step % k == 0, now, start)
 
         after = resetting.step(state, policy(state.obs, act_key))
@@ -221,7 +221,7 @@ def _follow(
         )
         return (after, start), steps
 
-    # A subgoal at a time, so that one sees how far it is; the last one may be cut.
+    # One subgoal per call, so that the progress bar moves; the last one may be cut.
     reset = jax.jit(jax.vmap(resetting.reset))
     follow = jax.jit(lambda carry: jax.lax.scan(jax.vmap(advance), carry, length=k))
     # Never read: an episode's first step begins a subgoal.
@@ -237,10 +237,10 @@ def _follow(
 
 
 def _is_clear(env: locomotion.Locomotion, state: locomotion.LocomotionState) -> Bool[Array, ""]:
-    """Returns whether a robot that goes one cell from here could touch no wall."""
+    """Returns whether no wall is within reach on the way one cell ahead; true in corridors."""
     room, reach = env.room(state.room), env.robot.reach * env.robot.units_per_metre
 
-    # Points of the way, closer to each other than a wall is wide.
+    # A grid over the way and the robot's reach around it, finer than a wall is thick.
     ahead = jnp.linspace(-reach, base.CELL + reach, 5)
     aside = jnp.array([-reach, 0.0, reach])
     grid = jnp.stack(jnp.meshgrid(ahead, aside), -1).reshape(-1, 2)
@@ -253,7 +253,7 @@ def _is_clear(env: locomotion.Locomotion, state: locomotion.LocomotionState) -> 
 def drift_after(
     steps: Steps, num_subgoals: int, robot: robot_lib.Robot, *, anchored: bool
 ) -> subgoals.Drift:
-    """Computes where robots ended after some subgoals, see `subgoals.Drift`.
+    """Computes how far robots are from their cells' centres after some subgoals.
 
     Args:
       steps: on the host, of one episode, more than `num_subgoals` subgoals long.
@@ -262,14 +262,14 @@ def drift_after(
       anchored: whether the subgoals were.
 
     Returns:
-      The figures, NaN where every robot fell.
+      The figures over the robots that haven't fallen, NaN if all have.
     """
     k = robot.steps_per_subgoal
     end = k * num_subgoals  # positions are those before a step
     direction = np.asarray(steps.direction)[:end:k]
     toward = np.array(base.DIRECTIONS_XY, np.float64)[direction]  # [S, N, 2]
 
-    # Whole cells from the origin: where it stood first, and where it is now.
+    # First and last position in cells; the target cell is the first one plus all subgoals.
     xy = np.asarray(steps.qpos)[[0, end], :, :2].astype(np.float64) / base.CELL
     cell = np.floor(xy)
     is_in_cell = (cell[1] == cell[0] + toward.sum(0)).all(1)
@@ -297,7 +297,7 @@ def drift_after(
 
 
 def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.Statistics:
-    """Computes the statistics of what robots did.
+    """Computes the statistics of subgoals from recorded steps.
 
     Args:
       steps: on the host.
@@ -310,12 +310,12 @@ def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.St
     is_counted = counts(steps)
     along, lateral = np.asarray(steps.along)[is_counted], np.asarray(steps.lateral)[is_counted]
 
-    # A subgoal during which the simulation breaks down has begun, but doesn't end.
+    # A subgoal during which the simulation becomes unstable begins, but never completes.
     completed = (steps.switched > 0) & steps.start.is_upright
     begun = ((steps.switched > 0) | (steps.broke_down > 0)) & steps.start.is_upright
     num_begun = max(int(begun.sum()), 1)
 
-    # Medians of those that stood again; how many did is told beside it. Rates are per 1,000.
+    # The median is over falls with a recovery, whose share is `recovered`. Rates are per 1,000.
     times = recovery_times(steps, robot.steps_per_subgoal)
     finite = times[np.isfinite(times)]
     return subgoals.Statistics(
@@ -338,7 +338,7 @@ def _displacement(
     with np.errstate(invalid="ignore"):  # NaN where one of the two never changes
         correlation = np.corrcoef(along, lateral)[0, 1]
 
-    # Both against the law that the high level trains with: N(cell, sigma) along, N(0, sigma) aside.
+    # To what the high level trains with: N(cell, sigma^2) along the subgoal, N(0, sigma^2) aside.
     distances = (
         statistics_lib.wasserstein(along - base.CELL, sigma),
         statistics_lib.wasserstein(lateral, sigma),
@@ -353,12 +353,11 @@ def recovery_times(steps: Steps, min_steps: int) -> Float[np.ndarray, " F"]:
 
     Args:
       steps: on the host.
-      min_steps: falls after which the episode ended earlier, without a recovery, are left out:
-        nothing can be said of them.
+      min_steps: a fall without recovery is left out where its episode ended within fewer steps.
     """
     times = []
     for t, robot in np.argwhere(steps.fell > 0):
-        # Looked for within the episode: the next one starts with a robot that stands anyway.
+        # Within the same episode: every new one starts upright.
         ended = np.flatnonzero(steps.ended[t:, robot])
         end = t + ended[0] if len(ended) else len(steps.ended) - 1
 
@@ -377,12 +376,24 @@ def counts(steps: Steps) -> Bool[np.ndarray, "T N"]:
 
 
 def upright_postures(steps: Steps, robot: robot_lib.Robot, num: int) -> Float[Array, "num nq"]:
-    """Picks postures spread evenly over robots and time, the first subgoal left out, x = y = 0."""
-    # A robot comes to its gait out of rest during the first subgoal.
+    """Picks upright postures, spread evenly over time and robots.
+
+    Args:
+      steps: on the host.
+      robot: whose they are.
+      num: how many postures.
+
+    Returns:
+      Positions as in MuJoCo's qpos, with x = y = 0; none from the first subgoal.
+
+    Raises:
+      base.UserError: the robot was never upright.
+    """
+    # During the first subgoal the robot still starts from rest.
     qpos = np.asarray(steps.qpos)[robot.steps_per_subgoal :]
     upright = qpos[~np.asarray(steps.was_down)[robot.steps_per_subgoal :]]
     if not len(upright):
-        raise base.UserError(f"robot {robot.name!r} was never upright: there are no postures")
+        raise base.UserError(f"robot {robot.name!r} was never upright, so it has no postures")
 
     # Spread over the whole record, since neighbouring steps show nearly the same posture.
     index = np.linspace(0, len(upright) - 1, num).astype(np.int64)

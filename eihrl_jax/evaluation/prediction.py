@@ -1,11 +1,11 @@
-"""Success of a hierarchy in a maze, computed from where its robot's subgoals end, without physics.
+"""Predicts a hierarchy's success in a maze from its robot's measured end points, without physics.
 
-An episode is a Markov chain of decisions: what is known of the maze, where the robot is, how it got
-there and which goals it has visited. Probability is sent along that chain, decision by decision:
-the high level gives each direction its odds, and the measured law of end points says where it leads
-to. States that differ in nothing that matters any more are one, so that few are left to follow, and
-the result is no estimate, as long as they all can be kept. Where they are too many the faint ones
-are thinned at random, without bias.
+An episode is a Markov chain, whose state is what has been seen of the maze, where the robot is, how
+it got there and which goals it has visited. The distribution over states is propagated decision by
+decision: the high level gives the probability of each direction, and the measured distribution of
+end points that of where it leads to. States that agree in everything that matters for the future
+are merged. As long as all remaining ones can be kept, the result is exact. Where they are too many,
+those of low probability are resampled, which leaves expectations unbiased.
 """
 
 import dataclasses
@@ -25,38 +25,40 @@ from eihrl_jax.ops import rotations
 from eihrl_jax.robots import robot as robot_lib
 
 _CHUNK = 128
-"""States that are looked at together."""
+"""States per call of the compiled step."""
 
 _NUM_OFFSETS = 4
-"""Places on each axis for where in its cell an episode starts."""
+"""Points per axis that stand for the uniform start within a cell."""
 
 _NUM_POSTURES = 4
-"""Postures over which the odds of a high level are averaged that sees the robot."""
+"""Postures over which probabilities are averaged where the high level sees the robot."""
 
 _ANCHORED_PITCH = base.CELL / 2
-"""Side of the squares in which anchored robots aren't told apart: in sight is what a square of five
-cells touches, so that all that matters is on which side of its cell's middle the robot is."""
+"""Side of the squares within which positions are merged if subgoals are anchored, units.
+
+A robot sees the cells that a square of five cells' length around it touches: so all that matters is
+on which side of its cell's centre it is, on each axis."""
 
 _FREE_PITCH = base.CELL / 30
-"""The same where offsets add up."""
+"""The same for free subgoals, whose offsets add up."""
 
 _FREE_LAW_PITCH = base.CELL / 10
-"""Side of the squares in which end points of free subgoals are taken together."""
+"""Side of the squares within which end points of free subgoals are merged, units."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """What is to be expected of an agent in one maze.
+    """An agent's expected performance in one maze.
 
     Attributes:
       maze: its name.
-      success: visited goals over all goals, expected.
+      success: expected share of the goals that are visited.
       solved: probability that all goals are visited in time.
-      decisions: expected number.
-      down: probability that the robot lies on the ground at the end.
-      thinned: expected number of times that an episode's state was among those thinned at random;
-        0: the figures are exact, given the law.
-      num_states: most states that were followed at once.
+      decisions: expected number of decisions.
+      down: probability that the robot lies on the ground when time is up.
+      thinned: expected number of decisions of an episode before which its state was resampled; 0
+        if the figures are exact, given the distribution of end points.
+      num_states: largest number of states followed at once.
     """
 
     maze: str
@@ -69,14 +71,14 @@ class Prediction:
 
 
 class _States(NamedTuple):
-    """S states of one maze, none of them over.
+    """S states of unfinished episodes in one maze, with their probabilities.
 
     Attributes:
       door_ij: int32 [S, 2], see `task.Navigation`, as the next two.
       visited: bool [S, 9].
-      seen: bool [S, H, W]; no cells without a map.
+      seen: bool [S, H, W]; H = W = 0 without a map.
       xy: float32 [S, 2], position of the torso, units.
-      before: int32 [S], the last direction; `REST` or `DOWN` of `end_points` without one.
+      before: int32 [S], the last direction, or `REST` or `DOWN` of `end_points`.
       mass: float64 [S], probability.
     """
 
@@ -88,7 +90,7 @@ class _States(NamedTuple):
     mass: Float[np.ndarray, " S"]
 
     def at(self, index: Int[np.ndarray, " s"]) -> "_States":
-        """Returns some of them."""
+        """Returns the states of these indices."""
         return _States(*(column[index] for column in self))
 
 
@@ -109,13 +111,14 @@ class Predictor:
         """Prepares the mazes; nothing is compiled yet.
 
         Args:
-          robot: whose body and postures are moved.
+          robot: gives the body's size and the postures that the high level may see.
           high: chooses directions.
           chosen: the mazes, by name.
-          ends: where its subgoals end, anchored or not.
-          anchored: whether they are.
-          num_states: most that are followed at once.
-          seed: of what is thinned at random.
+          ends: the robot's measured end points.
+          anchored: whether subgoals are anchored, as in `ends`.
+          num_states: most states that are followed at once; where there are more, some are
+            resampled.
+          seed: of the resampling.
 
         Raises:
           base.UserError: robot and mazes don't fit.
@@ -129,7 +132,7 @@ class Predictor:
 
         self._pitch = _ANCHORED_PITCH if anchored else _FREE_PITCH
         self._law = end_law.Law.of(ends, _ANCHORED_PITCH if anchored else _FREE_LAW_PITCH)
-        # A map doesn't show in which posture the robot is.
+        # A map doesn't show the robot's posture.
         num_postures = 1 if view.has_map else _NUM_POSTURES
         bank = len(gait.bank.qpos)
         self._postures = jnp.linspace(0, bank - 1, num_postures).astype(jnp.int32)
@@ -154,7 +157,7 @@ class Predictor:
             if not len(states.mass):
                 break
 
-        # Time is up for what is left, with the goals that it has visited.
+        # For the states that are left time is up; goals that they have visited count.
         late = float(states.mass @ states.visited.sum(1)) / int(maze.num_goals)
         down = float(states.mass[states.before == end_points.DOWN].sum())
         return Prediction(
@@ -168,14 +171,14 @@ class Predictor:
         )
 
     def _starts(self, index: int) -> _States:
-        """Returns the states in which episodes begin."""
+        """Returns the distribution of an episode's first state."""
         table = self._env.table
         num_starts, num_doors = int(table.num_starts[index]), int(table.num_doors[index])
         starts = np.asarray(table.start_ij[index])[:num_starts]
         doors = np.asarray(table.door_ij[index])[:num_doors]
         jitter = float(table.mazes.start_jitter[index])
 
-        # The middles of equal parts stand for all places on an axis.
+        # Midpoints of equal intervals on each axis stand for all offsets.
         middles = (2 * np.arange(_NUM_OFFSETS) + 1) / _NUM_OFFSETS - 1
         middles = jitter * middles if jitter else np.zeros(1)
         offsets = np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2)
@@ -203,7 +206,7 @@ class Predictor:
         return self._merged(self._seeing(index, states))
 
     def _seeing(self, index: int, states: _States) -> _States:
-        """Returns states with what is in sight at their beginning on the map."""
+        """Returns states at an episode's beginning, what is in sight added to their maps."""
         if not self._view.has_map:
             return states
 
@@ -214,23 +217,23 @@ class Predictor:
     def _look_one(
         self, maze: Int[Array, ""], door_ij: Int[Array, "2"], xy: Float[Array, "2"]
     ) -> Bool[Array, "H W"]:
-        """Returns what is in sight where nothing has been seen before."""
+        """Returns which cells are seen at the beginning of an episode."""
         nav = _navigation(maze, door_ij, jnp.zeros(maze_lib.MAX_GOALS, bool), None)
         return jnp.asarray(task.look(self._env.table, nav, xy, self._view).seen)
 
     def _advanced(self, index: int, states: _States) -> tuple[_States, float]:
-        """Returns the states after one more decision, and the probability of having visited all."""
+        """Returns the states after one more decision, and the probability of being solved by it."""
         solved, parts = 0.0, []
         for first in range(0, len(states.mass), _CHUNK):
             chunk = states.at(np.arange(first, min(first + _CHUNK, len(states.mass))))
-            # Filled up, so that there is one shape and one program.
+            # Padded to one shape, so that one program serves all chunks.
             filled = [np.resize(column, (_CHUNK, *column.shape[1:])) for column in chunk[:-1]]
-            found = jax.device_get(self._follow(self._law, jnp.int32(index), *filled))
+            successors = jax.device_get(self._follow(self._law, jnp.int32(index), *filled))
 
-            num = int(np.prod(found[0].shape[1:]))  # places that a state leads to
+            num = int(np.prod(successors[0].shape[1:]))  # successors of each state
             weight, visited, seen, xy, before, is_solved = (
                 leaf[: len(chunk.mass)].reshape(len(chunk.mass) * num, *leaf.shape[3:])
-                for leaf in found
+                for leaf in successors
             )
             mass = np.repeat(chunk.mass, num) * weight
             solved += float(mass[is_solved].sum())
@@ -251,14 +254,17 @@ class Predictor:
         xy: Float[Array, "2"],
         before: Int[Array, ""],
     ) -> tuple[Array, ...]:
-        """Returns where a state leads to: weights [D, K], and what `_States` holds of each place.
+        """Returns a state's successors.
 
-        D is 1 for a high level that is certain of its direction.
+        Returns:
+          Their probabilities [D, K], and what `_end` returns with leading axes [D, K]: D
+          directions, 1 for a deterministic high level, and K end points.
         """
         nav = _navigation(maze, door_ij, visited, seen if self._view.has_map else None)
-        odds = self._odds(nav, xy)
-        directions = jax.lax.top_k(odds, 1 if self._high.is_certain else base.NUM_DIRECTIONS)[1]
-        # From standing and from the ground all directions are alike.
+        probabilities = self._probabilities(nav, xy)
+        num_directions = 1 if self._high.is_certain else base.NUM_DIRECTIONS
+        directions = jax.lax.top_k(probabilities, num_directions)[1]
+        # After standing still or lying, the condition is the same for all directions.
         others = np.repeat([[end_points.REST], [end_points.DOWN]], base.NUM_DIRECTIONS, 1)
         kinds = np.concatenate([end_points.turns(), others])
 
@@ -266,7 +272,7 @@ class Predictor:
             row = jax.tree.map(lambda table: table[jnp.asarray(kinds)[before, direction]], law)
             end = jax.vmap(self._end, in_axes=(None, None, None, None, 0, 0, 0))
             places = end(nav, xy, before, direction, row.along, row.lateral, row.is_down)
-            return odds[direction] * row.weight, *places
+            return probabilities[direction] * row.weight, *places
 
         return jax.vmap(follow)(directions)
 
@@ -280,7 +286,7 @@ class Predictor:
         lateral: Float[Array, ""],
         is_down: Bool[Array, ""],
     ) -> tuple[Array, ...]:
-        """Returns what `_States` holds of where one displacement ends, and whether it is over."""
+        """Returns visited, seen, xy and before after one displacement, and whether it is solved."""
         origin = task.anchor(xy) if self._env.movement.anchored else xy
         way = rotations.to_world_frame(jnp.stack([along, lateral]), direction)
         path_xy = self._env.move(nav, xy, origin + way - xy)
@@ -292,19 +298,19 @@ class Predictor:
         known = jnp.zeros((0, 0), bool) if after.seen is None else after.seen
         return after.visited, known, path_xy[-1], following, outcome.terminated
 
-    def _odds(self, nav: task.Navigation, xy: Float[Array, "2"]) -> Float[Array, "4"]:
-        """Returns the probability of each direction, over postures that may be seen."""
+    def _probabilities(self, nav: task.Navigation, xy: Float[Array, "2"]) -> Float[Array, "4"]:
+        """Returns the probability of each direction, averaged over postures."""
 
         def of_posture(posture: Int[Array, ""]) -> Float[Array, "4"]:
             inner = oracle_maze.OracleMazeState(
                 nav=nav, xy=xy, posture=posture, total_reward=jnp.float32(0.0)
             )
-            return self._high.odds(self._env.observe(inner))
+            return self._high.probabilities(self._env.observe(inner))
 
         return jax.vmap(of_posture)(self._postures).mean(0)
 
     def _merged(self, states: _States) -> _States:
-        """Makes one of those states that differ in nothing that matters, at their mean place."""
+        """Merges states in the same square that agree in all else, at their mean position."""
         squares = np.floor(states.xy / self._pitch).astype(np.int32)
         columns = (
             states.door_ij,
@@ -331,7 +337,7 @@ def _navigation(
     visited: Bool[Array, "9"],
     seen: Bool[Array, "H W"] | None,
 ) -> task.Navigation:
-    """Returns where an episode stands; time is counted elsewhere."""
+    """Returns the state of an episode's task; decisions are counted elsewhere."""
     zero = jnp.int32(0)
     return task.Navigation(
         maze=maze,
@@ -344,10 +350,10 @@ def _navigation(
 
 
 def _thinned(states: _States, num: int, rng: np.random.Generator) -> tuple[_States, float]:
-    """Leaves `num` states at most; returns also the probability of those that were drawn among.
+    """Resamples states so that at most `num` remain; also returns the mass of those resampled.
 
-    Whatever is kept of the faint ones, each as likely as it is faint, weighs as much as the others
-    of them: expectations stay as they are.
+    States above a threshold stay as they are. Those below are kept with a probability proportional
+    to their mass, and then have the threshold's: so expectations stay unbiased.
 
     Source: Fearnhead and Clifford 2003, "On-line inference for hidden Markov models via particle
       filters", Sec. 3.2.
@@ -356,17 +362,17 @@ def _thinned(states: _States, num: int, rng: np.random.Generator) -> tuple[_Stat
     if len(mass) <= num:
         return states, 0.0
 
-    # The threshold c at which the sum of min(mass / c, 1) is `num`: the n greatest are kept.
+    # The threshold c at which the sum of min(mass / c, 1) is `num`: the n largest are kept.
     order = np.argsort(-mass)
-    rest = np.cumsum(mass[order][::-1])[::-1]  # of each and all fainter ones
-    is_faint = mass[order] * (num - np.arange(len(mass))) <= rest
-    n = int(np.argmax(is_faint))
-    faint, threshold = order[n:], rest[n] / (num - n)
+    rest = np.cumsum(mass[order][::-1])[::-1]  # of each and all smaller ones
+    is_below = mass[order] * (num - np.arange(len(mass))) <= rest
+    n = int(np.argmax(is_below))
+    below, threshold = order[n:], rest[n] / (num - n)
 
-    # Evenly spaced marks on the line of what is faint: Kitagawa's systematic sampling.
+    # Systematic resampling (Kitagawa 1996): evenly spaced marks on the cumulative mass.
     marks = (rng.random() + np.arange(num - n)) * threshold
-    ends = np.cumsum(mass[faint])
-    chosen = faint[np.minimum(np.searchsorted(ends, marks, side="right"), len(faint) - 1)]
+    ends = np.cumsum(mass[below])
+    chosen = below[np.minimum(np.searchsorted(ends, marks, side="right"), len(below) - 1)]
     kept = states.at(np.concatenate([order[:n], chosen]))
     kept.mass[n:] = threshold
     return kept, float(rest[n])

@@ -1,7 +1,8 @@
 """Runs many episodes at once, in several mazes, and keeps what tables and pictures need.
 
-Every episode has its own stream of random numbers, drawn from seed, maze and its number: which
-other episodes run beside it changes nothing. One that is over rests and costs no physics.
+Every episode has its own stream of random numbers, derived from the seed, the maze and the
+episode's number, so its result doesn't depend on which episodes run beside it. Physics isn't
+computed for an episode that is over.
 """
 
 import dataclasses
@@ -31,12 +32,12 @@ MAX_ROWS = 1024
 """Most episodes that run at once."""
 
 MAX_BYTES = 2**30
-"""What they may take at once, more than all else an evaluation needs where mazes are huge; half as
-much again may be recorded."""
+"""Most bytes that these episodes' states take, in huge mazes most of an evaluation's memory;
+recordings may take half as much again."""
 
 _MIN_TIMES_RECORDED = 4
-"""How many times the recorded episodes all must be for these to run before the others: running
-them apart costs as many decisions more as the longest of them has."""
+"""The recorded episodes run first, for a preview, where there are at least this many times as many
+episodes in all. A batch of their own costs as many more decisions as the longest of them takes."""
 
 HighPolicy: TypeAlias = Callable[[raster.Picture | None, Key[Array, ""]], Int[Array, ""]]
 """From the patch and a key to a direction; a pytree (`jax.tree_util.Partial`) of its parameters."""
@@ -44,7 +45,7 @@ HighPolicy: TypeAlias = Callable[[raster.Picture | None, Key[Array, ""]], Int[Ar
 
 @runtime_checkable
 class Recordable(Protocol):
-    """An environment of decisions that can also return each decision's path.
+    """An environment whose step is a decision, and which can also return the decision's path.
 
     `envs.hierarchy.Hierarchy` is one. Its inner states have `nav`, an `envs.task.Navigation`.
     """
@@ -68,7 +69,7 @@ class Rollout:
       episodes: their numbers.
       share: float [R * b, C * b], b = `whereabouts.BINS_PER_CELL`, share of the episodes in which
         the torso was in a bin at least once, in [0, 1]; row 0 is the north.
-      recordings: the first episodes of the first seed, to be drawn.
+      recordings: the first episodes of the first seed, for pictures.
     """
 
     episodes: results.Episodes
@@ -97,7 +98,7 @@ class Plan:
 
     @property
     def rows(self) -> Int[np.ndarray, "N 3"]:
-        """Seed, maze and number of every episode."""
+        """Seed, index of the maze and number of every episode."""
         shape = (len(self.seeds), len(self.mazes), self.num_episodes)
         seed, maze, episode = np.indices(shape).reshape(3, -1)
         return np.stack([np.array(self.seeds)[seed], maze, episode], 1)
@@ -117,7 +118,7 @@ class _Batch(NamedTuple):
     """Finished episodes that ran together.
 
     Attributes:
-      rows: int [E, 3], seed, maze and number of each.
+      rows: int [E, 3], seed, index of the maze and number of each.
       episodes: their numbers.
       visits: int [M, rows, columns], in how many episodes of each maze the torso was in each bin.
       recordings: by maze.
@@ -150,13 +151,13 @@ class Runner:
         self._recorded_each = self._num_recorded_each()
         self._num_recorded = int(self._is_recorded.sum()) * self._recorded_each
         # All batches have one size, so that nothing is compiled twice; the last is filled up.
-        num_batches = math.ceil(len(self._rows) / self._most_rows())
+        num_batches = math.ceil(len(self._rows) / self._max_rows())
         self._size = math.ceil(len(self._rows) / num_batches)
         self._reset = jax.jit(jax.vmap(env.reset))
         self._compiled: dict[Hashable, jax.stages.Compiled] = {}
         self._tours = functools.cache(lambda maze, door: paths.tours(self._mazes[maze], door))
 
-    def _most_rows(self) -> int:
+    def _max_rows(self) -> int:
         """Returns how many episodes may run at once."""
         # A state is held twice, before and after the decision.
         each = int(self._bins.prod()) + 2 * tree.num_bytes(self._shapes[0])
@@ -165,7 +166,7 @@ class Runner:
     def _num_recorded_each(self) -> int:
         """Returns how many episodes are recorded in each of the mazes in which some are."""
         state, trace = self._shapes
-        # What is seen is kept in bits.
+        # Pictures are stored as bits.
         seen = 0 if state.obs is None else math.prod(state.obs.shape) // 8
         longest = int(self._plan.limits[self._is_recorded].max(initial=1))
         each = longest * (seen + tree.num_bytes(trace)) * int(self._is_recorded.sum())
@@ -174,7 +175,7 @@ class Runner:
 
     @functools.cached_property
     def _shapes(self) -> tuple[base.EnvState, hierarchy.Trace]:
-        """Returns what an episode's state and the way of a decision look like."""
+        """Shapes and types of an episode's state and of a decision's trace."""
         state = jax.eval_shape(self._env.reset, jax.random.key(0), jnp.int32(0))
         return jax.eval_shape(self._env.trace, state, jnp.int32(0))
 
@@ -188,9 +189,9 @@ class Runner:
 
         Args:
           high_policy: chooses the directions.
-          progress: is told the decisions spent; those that an episode did not need count as spent.
-          preview: is given the recorded episodes when these are over, long before all are; not
-            called where they are a large part of all.
+          progress: is told the decisions spent; an episode that is over counts with its limit.
+          preview: is called with the recorded episodes as soon as they are over; never, where they
+            are a large part of all episodes.
 
         Returns:
           What happened, by maze.
@@ -198,15 +199,15 @@ class Runner:
         decide = functools.partial(self._next, high_policy, progress)
         rows, num_first = self._rows, 0
         recorded = self._recorded(rows)
-        is_few = 0 < _MIN_TIMES_RECORDED * len(recorded) <= len(rows)
-        if preview and is_few and len(recorded) <= self._size:
+        is_worth_it = 0 < _MIN_TIMES_RECORDED * len(recorded) <= len(rows)
+        if preview and is_worth_it and len(recorded) <= self._size:
             # Each maze's recorded episodes are its first ones, and stay so.
             rows, num_first = np.r_[rows[recorded], np.delete(rows, recorded, 0)], len(recorded)
         limits = self._plan.limits[rows[:, 1]]
         spent, success = np.zeros(len(rows), int), np.zeros(len(rows))
 
         def report(here: slice, lanes: lanes_lib.Lanes) -> None:
-            # An episode that is over has spent all its decisions: so the bar ends at its end.
+            # An episode that is over counts with its limit, so that the bar reaches 100 %.
             is_real = lanes.rows < here.stop - here.start
             index = here.start + lanes.rows[is_real]
             decisions = np.asarray(lanes.state.inner.nav.decisions)[is_real]
@@ -232,13 +233,13 @@ class Runner:
         lanes: lanes_lib.Lanes,
         t: int,
     ) -> tuple[lanes_lib.Lanes, recording_lib.Decision]:
-        """Makes decision `t` of every episode that is not over, see `_decide`."""
+        """Calls the compiled `_decide`, which is compiled for the first policy of each kind."""
         # The structure holds network and options, but no parameters: equal ones share a program.
         kind = jax.tree.structure(high_policy), len(lanes.rows)
         arguments = (high_policy, *lanes[:-1], jnp.int32(t))
         if kind not in self._compiled:
             with progress.compiling("episodes"):
-                # Not left to the first call: `jit` would compile once more when the states come
+                # Ahead of time: `jit` would compile again at the second call, when the states come
                 # back committed to the device of a loaded policy. Bins are marked in place.
                 decide = jax.jit(self._decide, donate_argnames="places")
                 self._compiled[kind] = decide.lower(*arguments).compile()
@@ -261,12 +262,12 @@ class Runner:
           high_policy: chooses the directions.
           state: of the environments.
           places: where the torsos are, and have been.
-          keys: of the high level's draws, the same in all decisions.
+          keys: of the episodes' high levels, the same in all decisions; `t` is folded in.
           recorded: rows of the episodes that are recorded.
           t: number of the decision.
 
         Returns:
-          The next two of these, and the decision of the recorded episodes.
+          States and places after the decision, and the decisions of the recorded episodes.
         """
 
         def decide(
@@ -275,7 +276,7 @@ class Runner:
             action = high_policy(state.obs, jax.random.fold_in(key, t))
             following, trace = self._env.trace(state, action)
 
-            # Over is over: numbers of an episode stay while the others of its batch go on.
+            # The state of an episode that is over stays while others of its batch go on.
             kept = tree.where(state.is_over, state, following)
             decision = recording_lib.Decision.of(state.obs, action, trace)
             return kept, place.after(trace), decision
@@ -306,14 +307,14 @@ class Runner:
 
     def _begin(self, rows: Int[np.ndarray, "_ 3"]) -> lanes_lib.Lanes:
         """Returns a batch at its start."""
-        # A short batch repeats its rows, in episodes that are over and that `_finish` leaves out.
+        # A short batch is padded with copies of rows that are over; `_finish` leaves them out.
         padded = np.resize(rows, (self._size, 3))
         env_keys, high_keys = streams.streams(padded, list(self._plan.mazes))
         state = self._reset(env_keys, jnp.asarray(padded[:, 1], jnp.int32))
         is_extra = jnp.arange(self._size) >= len(rows)
         state = state.replace(terminated=state.terminated | is_extra)
         places = whereabouts_lib.Whereabouts.at_the_start(self._size, *self._bins.tolist())
-        # As many in every batch, since they are an argument of one shape.
+        # The same number in every batch, because a compiled program has fixed shapes.
         recorded = np.resize(self._recorded(rows), self._num_recorded)
         recorded = jnp.asarray(recorded, jnp.int32)
         return lanes_lib.Lanes(state, places, high_keys, recorded, np.arange(self._size))
@@ -351,7 +352,7 @@ class Runner:
         was_there = places.was_there
         visits = [was_there[rows[:, 1] == maze].sum(0) for maze in range(len(self._mazes))]
 
-        # Each is cut to the decisions that its episode took, and drawn with the door it had.
+        # Each is cut to the decisions that its episode took, in the maze with the door it had.
         recordings: list[list[recording_lib.Recording]] = [[] for _ in self._mazes]
         decisions = jax.tree.map(lambda *leaves: np.stack(leaves, 1), *history)
         for i, row in enumerate(self._recorded(rows)):
@@ -378,7 +379,7 @@ class Runner:
         return shortest
 
     def _by_maze(self, batches: list[_Batch]) -> dict[str, Rollout]:
-        """Sorts what happened in all batches by maze."""
+        """Groups the episodes of all batches by maze."""
         all_episodes = [batch.episodes for batch in batches]
         episodes = jax.tree.map(lambda *parts: np.concatenate(parts), *all_episodes)
         maze_of = np.concatenate([batch.rows[:, 1] for batch in batches])
@@ -387,7 +388,7 @@ class Runner:
         rollouts = {}
         for index, (name, maze) in enumerate(self._plan.mazes.items()):
             is_here = maze_of == index
-            # Bins of the padding, by which mazes are made equally large, are cut off.
+            # Smaller mazes are padded to the size of the largest: their extra bins are cut off.
             num_rows, num_columns = (
                 whereabouts_lib.BINS_PER_CELL * side for side in maze.wall.shape
             )

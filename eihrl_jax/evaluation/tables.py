@@ -19,14 +19,14 @@ from eihrl_jax.evaluation import standing as standing_lib
 from eihrl_jax.mazes import suites
 
 TABLE1_MAZES = {"random": "Maze-ori", "g1": "Maze-g1", "g2": "Maze-g2", "g3": "Maze-g3"}
-"""Our names of the mazes of the paper's Table 1, and the paper's."""
+"""Our names of the mazes in the paper's Table 1, and the paper's names."""
 
 NOTE = (
-    "Success is achieved goals / total goals, ± the standard deviation over five blocks of "
-    "episodes, with Wilson's 95 % interval. Episodes fail because the time is over while the robot "
-    "is upright (late), because it has fallen, or because its simulation broke down (unstable)."
+    "Success is the share of goals that are reached, ± its standard deviation over five blocks of "
+    "episodes, with Wilson's 95 % interval. Episodes fail because time is up while the robot is "
+    "upright (late), because it has fallen, or because its simulation became unstable (unstable)."
 )
-"""What the numbers of the tables are."""
+"""Explains the numbers of the tables."""
 
 _FAILED = "late / fallen / unstable"
 _ANY_WIDTH = 10_000  # characters: wider than any table
@@ -38,10 +38,10 @@ class Table:
     """A table of text.
 
     Attributes:
-      title: what stands above it.
+      title: shown above it.
       header: names of the columns.
-      rows: one text per column; a row whose first text is indented belongs to the one above it.
-      num_words: columns of words, the first ones, which stand to the left; the others are numbers.
+      rows: one text per column; a row whose first text is indented gives details of the one above.
+      num_words: how many of the first columns are words, aligned left; numbers are aligned right.
     """
 
     title: str
@@ -55,7 +55,7 @@ class Table:
 
 
 def markdown_grid(header: list[str], rows: Iterable[list[str]]) -> str:
-    """Returns names of columns, and texts below them, as a Markdown table without title.
+    """Returns a Markdown table without title.
 
     >>> print(markdown_grid(["maze", "success %"], [["u", "98.2"]]))
     | maze | success % |
@@ -67,7 +67,7 @@ def markdown_grid(header: list[str], rows: Iterable[list[str]]) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Returns a text as Markdown shows it, in a cell of a table too."""
+    """Escapes a text, so that Markdown shows it as it is, also in a table's cell."""
     return re.sub(r"([\\`|<])", r"\\\1", base.printable(text))
 
 
@@ -88,8 +88,8 @@ def spread(over: statistics.RunSpread) -> str:
 
 
 def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
-    """Returns one general table for each agent; a whole suite's mean stands above its mazes."""
-    # In the order of the cells, which is that of the evaluation.
+    """Returns a table per agent, a row per maze; a whole suite's mean stands above its mazes."""
+    # Rows keep the order of the cells, which is that of the evaluation.
     header = ["maze", "success %", "95 %", "return", "decisions", "path ratio", _FAILED, "episodes"]
     by_agent: dict[results.Agent, dict[str, results.Cell]] = {}
     for cell in cells:
@@ -102,7 +102,7 @@ def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
         body = []
         for maze, cell in by_maze.items():
             suite = suite_of.get(maze)
-            # Above the first of its mazes; each suite is told once.
+            # Above the first of its mazes, and only once.
             if suite in whole:
                 body.append(_suite_row(suite, [by_maze[name] for name in whole.pop(suite)]))
             body.append(_maze_row(cell, "  " if suite else ""))
@@ -113,7 +113,7 @@ def _by_agent(cells: Sequence[results.Cell]) -> list[Table]:
 
 
 def _maze_row(cell: results.Cell, indent: str) -> list[str]:
-    """Returns a maze's row of the general table."""
+    """Returns a maze's row of an agent's table."""
     return [
         indent + cell.maze,
         percent(cell.success),
@@ -127,13 +127,13 @@ def _maze_row(cell: results.Cell, indent: str) -> list[str]:
 
 
 def _goal_row(cell: results.Cell, num_columns: int) -> list[str]:
-    """Returns the row below a maze's that tells how many episodes reached each of its goals."""
+    """Returns the row below a maze's, with the share of episodes that reached each of its goals."""
     rates = " / ".join(f"{100 * rate:.0f}" for rate in cell.goal_rates)
     return ["  goal by goal, %", rates, *[""] * (num_columns - 2)]
 
 
 def _suite_row(suite: str, cells: Sequence[results.Cell]) -> list[str]:
-    """Returns a suite's row of the general table: means in which every maze weighs the same."""
+    """Returns a suite's row of an agent's table: means with equal weight for every maze."""
     return [
         f"{suite}, mean of {len(cells)}",
         f"{100 * np.mean([cell.success.rate for cell in cells]):.1f}",
@@ -147,18 +147,18 @@ def _suite_row(suite: str, cells: Sequence[results.Cell]) -> list[str]:
 
 
 def _path_ratio(cells: Sequence[results.Cell]) -> str:
-    """Returns the mean path ratio over some mazes, those left out in which nothing was solved."""
+    """Returns the mean path ratio over the mazes in which any episode was solved."""
     ratios = [cell.path_ratio for cell in cells if cell.path_ratio is not None]
     return f"{np.mean(ratios):.2f}" if ratios else "-"
 
 
 def _failures(cells: Sequence[results.Cell]) -> str:
-    """Returns the numbers of episodes in some mazes that failed, by the reason."""
+    """Returns the numbers of failed episodes in some mazes, by reason."""
     late, fallen, unstable = (
         str(sum(getattr(cell.outcomes, name) for cell in cells))
         for name in ("late", "fallen", "unstable")
     )
-    # The oracle can't fall: a zero would look like an achievement.
+    # Oracle movement can't fall: zeros would look like an achievement.
     return f"{late} / {fallen} / {unstable}" if cells[0].agent.movement == "full" else late
 
 
@@ -173,13 +173,13 @@ def _title(agent: results.Agent) -> str:
 
 
 def _is_baseline(agent: results.Agent) -> bool:
-    """Returns whether an agent is both levels in one, which needs no other low level."""
+    """Returns whether an agent is a baseline, which has both levels in one policy."""
     return agent.movement == "full" and agent.low is None
 
 
 def _table1(cells: Sequence[results.Cell]) -> list[Table]:
-    """Returns the paper's Table 1 for each high level, the paper's figures below ours."""
-    # By high level, then agent, then maze: a table, its rows, its columns.
+    """Returns Table 1 for each high level, with the paper's figures below ours."""
+    # Grouped by high level (a table), agent (its rows) and maze (its columns).
     success: dict[str, dict[results.Agent, dict[str, statistics.Success]]] = {}
     for cell in cells:
         if cell.maze in TABLE1_MAZES:
@@ -188,7 +188,7 @@ def _table1(cells: Sequence[results.Cell]) -> list[Table]:
 
     tables = []
     for high, agents in success.items():
-        # In the paper's order, whichever of them were evaluated.
+        # Those that were evaluated, in the paper's order.
         mazes = [m for m in TABLE1_MAZES if any(m in by_maze for by_maze in agents.values())]
         header = ["success %", *(TABLE1_MAZES[name] for name in mazes)]
         rows = [row for agent, by_maze in agents.items() for row in _rows1(agent, by_maze, mazes)]
@@ -199,8 +199,8 @@ def _table1(cells: Sequence[results.Cell]) -> list[Table]:
 def _rows1(
     agent: results.Agent, success: Mapping[str, statistics.Success], mazes: Sequence[str]
 ) -> list[list[str]]:
-    """Returns one agent's rows of Table 1: its rates, their intervals, and the paper's rates."""
-    # An agent that wasn't evaluated in a maze has a dash there.
+    """Returns one agent's rows of Table 1: success rates, intervals, and the paper's rates."""
+    # A dash where an agent wasn't evaluated.
     rates = {maze: percent(rate) for maze, rate in success.items()}
     bounds = {maze: interval(rate) for maze, rate in success.items()}
     rows = [
@@ -208,7 +208,7 @@ def _rows1(
         ["  95 % interval", *(bounds.get(m, "-") for m in mazes)],
     ]
 
-    # The paper's Table 1 is of the ant, moved by a high level that has learned.
+    # The paper's figures are of the ant with a trained high level.
     if agent.robot == "ant" and agent.high != evaluate_config.UNIFORM and not _is_baseline(agent):
         published = paper.TABLE1[agent.movement]
         label = f"  paper, {paper.NAMES[agent.movement]}"
@@ -222,12 +222,12 @@ def over_runs(
     """Summarises learned high levels over training runs, by name, maze, robot and movement.
 
     Args:
-      cells: results of agents; high levels whose names differ by a number at the end alone, such
-        as `best-u-0` and `best-u-1`, are taken as trained alike from different seeds.
+      cells: results of agents; high levels whose names differ only in a number at the end, such as
+        `best-u-0` and `best-u-1`, are taken as one training from different seeds.
 
     Returns:
-      One entry wherever two or more runs were evaluated, their name ending in `*`; of a suite whose
-      mazes all were, one of the means over its mazes, too.
+      One entry for each group of at least two runs, whose name ends in `*`, and maze; for a suite
+      whose mazes were all evaluated, also one of the means over its mazes.
     """
     by_agent: dict[results.Agent, dict[str, float]] = {}
     for cell in cells:
@@ -252,14 +252,14 @@ def over_runs(
 
 
 def _over_runs(cells: Sequence[results.Cell]) -> list[Table]:
-    """Returns the table of `over_runs`, if there is one."""
+    """Returns the table of `over_runs`, if it isn't empty."""
     rows = [[*key, spread(over), interval(over)] for key, over in over_runs(cells).items()]
     header = ["high level", "maze", "robot", "movement", "mean ± std, %", "95 % of the mean"]
     return [Table("Success over training runs", header, rows)] if rows else []
 
 
 def _tables(cells: Sequence[results.Cell]) -> list[Table]:
-    """Returns all tables for which there is something to show."""
+    """Returns all tables that aren't empty."""
     return [*_by_agent(cells), *_table1(cells), *_over_runs(cells)]
 
 
@@ -278,7 +278,7 @@ def on_terminal(table: Table) -> rich.table.Table:
         pad_edge=False,
     )
 
-    # Numbers are read from the right, and a row of a group's details steps back.
+    # Numbers are aligned right, and rows of details are dimmed.
     for i, name in enumerate(table.header):
         side = "left" if i < table.num_words else "right"
         shown.add_column(base.printable(name), justify=side, no_wrap=True)
@@ -289,9 +289,9 @@ def on_terminal(table: Table) -> rich.table.Table:
 
 
 def show(shown: Iterable[rich.table.Table]) -> None:
-    """Prints tables, each as wide as it is: nothing is cut where the terminal is narrower."""
+    """Prints tables in their full width, even where the terminal is narrower."""
     for table in shown:
-        # Brackets and colons in names of files are neither styles nor pictures.
+        # File names may hold brackets and colons, which mustn't be taken for markup or emojis.
         console = rich.console.Console(highlight=False, markup=False, emoji=False)
         options = console.options.update(max_width=_ANY_WIDTH)
         width = rich.measure.Measurement.get(console, options, table).maximum
@@ -301,13 +301,13 @@ def show(shown: Iterable[rich.table.Table]) -> None:
 
 
 def markdown(cells: Sequence[results.Cell]) -> str:
-    """Returns the tables of an evaluation as Markdown, with a word on the intervals."""
+    """Returns the tables of an evaluation as Markdown, with `NOTE` above them."""
     parts = [NOTE, *(table.markdown() for table in _tables(cells))]
     return "\n\n".join(parts) + "\n"
 
 
 def of_subgoals(measured: Mapping[str, subgoals.Statistics], robot: str) -> rich.table.Table:
-    """Returns the table of a low level's statistics by surrounding, for a `rich` console."""
+    """Returns the table of a low level's statistics by surroundings, for a `rich` console."""
     rows: tuple[tuple[str, Callable[[subgoals.Statistics], str]], ...] = (
         ("subgoals", lambda s: f"{s.num_subgoals:,}"),
         ("  with a wall in the way, %", lambda s: f"{100 * s.blocked:.0f}"),
@@ -328,7 +328,7 @@ def of_subgoals(measured: Mapping[str, subgoals.Statistics], robot: str) -> rich
 
 
 def of_drift(drift: Sequence[subgoals.Drift], robot: str) -> rich.table.Table:
-    """Returns the table of a robot's drift from the centres of cells, for a `rich` console."""
+    """Returns the table of a robot's drift from cell centres, for a `rich` console."""
     head = [robot, "subgoals", "robots", "off along, units", "off sideways", "in the right cell, %"]
     body = [
         [
@@ -345,7 +345,7 @@ def of_drift(drift: Sequence[subgoals.Drift], robot: str) -> rich.table.Table:
 
 
 def of_standing(standing: standing_lib.Standing, robot: str) -> rich.table.Table:
-    """Returns the table of how many of a robot stand again, for a `rich` console."""
+    """Returns the table of how many fallen robots stand up again, for a `rich` console."""
     head = [robot, *(f"stand after {after}, %" for after in standing.shares)]
     shares = [_or_dash(100 * share, ".0f") for share in standing.shares.values()]
     title = "on the ground, number of subgoals since"

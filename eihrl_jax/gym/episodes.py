@@ -1,8 +1,8 @@
-"""Episodes side by side, as Gymnasium's environments run them: compiled once, new ones by the mode.
+"""Batches of episodes for Gymnasium's environments, with compiled steps and each autoreset mode.
 
-Every row draws from a key of its own, that of the seed it was given, and goes on with it from
-episode to episode. So a row's episodes are those of the bare environment with that key, and the
-same alone, in a batch, and in every mode.
+Every row has its own random key, made from its seed and carried on from episode to episode. So a
+row's episodes are those of the JAX environment with that key, whether it runs alone or in a batch,
+and in every autoreset mode.
 """
 
 import functools
@@ -27,10 +27,10 @@ from eihrl_jax.robots import robot as robot_lib
 Mode = vector.AutoresetMode
 
 Info: TypeAlias = dict[str, Any]
-"""What is told beside the observation; Gymnasium lets it be anything."""
+"""Gymnasium's `info`, whose values may be anything."""
 
 Shown: TypeAlias = PyTree[np.ndarray]
-"""Observations as Gymnasium has them: arrays, or a dict of them."""
+"""Observations in Gymnasium's form: arrays, or a dict of arrays."""
 
 EnvState: TypeAlias = base.EnvState[Any, Any]
 """The state of any of our environments."""
@@ -56,9 +56,9 @@ class PlacedEnvironment(Protocol):
 
 @runtime_checkable
 class Task(Protocol):
-    """Observations, actions and rewards of a robot; JAX starts when `environment` is called.
+    """What one robot observes, does and is rewarded for; JAX starts when `environment` is called.
 
-    Tasks are hashable, and equal where their programs are the same.
+    Tasks are hashable, and equal if their compiled programs are the same.
 
     Attributes:
       maze: the maze.
@@ -82,7 +82,7 @@ class Task(Protocol):
         ...
 
     def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
-        """Returns the spaces of what one robot observes and does."""
+        """Returns the observation space and the action space of one robot."""
         ...
 
     def environment(self) -> PlacedEnvironment:
@@ -90,7 +90,7 @@ class Task(Protocol):
         ...
 
     def see(self, obs: Any) -> PyTree[Array]:
-        """Returns an observation of the environment as Gymnasium has it."""
+        """Converts the environment's observation to one of the observation space."""
         ...
 
     def nav(self, inner: Any) -> task_lib.Navigation:
@@ -106,18 +106,18 @@ class Task(Protocol):
         ...
 
 
-class Ends(struct.PyTreeNode):
+class Outcomes(struct.PyTreeNode):
     """The outcome of a step in each of N rows.
 
     Attributes:
-      obs: current observation.
-      final: observation after the action, also where a new episode has begun since.
+      obs: current observation, of a new episode where one began with this step.
+      final: observation after the action, of the old episode even where a new one began.
       reward: see `base.Outcome`, like the next two.
       terminated: the episode ended for good.
       truncated: the episode was cut by its time limit.
-      metrics: of the episode that was stepped.
-      is_stepped: whether the action was used; false where a step began an episode or left one at
-        rest.
+      metrics: of the episode that the action belongs to.
+      is_stepped: whether the action was used; false where the step began an episode instead, or
+        the episode was already over.
     """
 
     obs: PyTree[Array]
@@ -130,15 +130,15 @@ class Ends(struct.PyTreeNode):
 
 
 class Step(NamedTuple):
-    """An `Ends` as writable NumPy arrays.
+    """`Outcomes` as writable NumPy arrays.
 
     Attributes:
-      obs: current observation.
-      final: observation after the action.
+      obs: current observation, [N, …].
+      final: observation after the action, [N, …].
       reward: float32 [N].
       terminated: bool [N].
       truncated: bool [N].
-      info: of the episodes that were stepped.
+      info: metrics of the episodes that the actions belong to, float32 [N] each.
     """
 
     obs: Shown
@@ -156,9 +156,9 @@ class Rows:
         """Compiles nothing yet.
 
         Args:
-          task: of every row.
+          task: the same for every row.
           num: number of rows, N.
-          mode: what follows the end of an episode.
+          mode: when a new episode follows the end of one.
         """
         self.task = task
         self.num = num
@@ -174,12 +174,12 @@ class Rows:
         """Begins new episodes, in all rows or in those of a mask; returns what all rows see.
 
         Args:
-          seeds: of the rows' keys; None: the keys go on, or are drawn on the first reset.
-          options: see `places.choose`, and `reset_mask`, bool [N].
-          generator: draws seeds, and places that are named in part.
+          seeds: for the rows' keys; None: keys are carried on, or drawn at the first reset.
+          options: those of `places.choose`, and `reset_mask`, bool [N].
+          generator: draws seeds, and a start or goal where only the other one is given.
 
         Raises:
-          base.UserError: an option has a wrong value, or rows are to be kept that haven't begun.
+          base.UserError: an option has a wrong value, or the mask keeps rows without an episode.
         """
         mask = self._mask(options)
         chosen = places.choose(self.task.maze, options, self.num, generator)
@@ -194,7 +194,7 @@ class Rows:
             keys = cast(EnvState, self._state).key
         state: EnvState = programs.reset(keys, chosen)
 
-        # The other rows stay as they are, an end among them too.
+        # The other rows stay as they are, also if their episodes are over.
         self._state = state if mask is None else programs.choose(mask, state, self._state)
         return _arrays(programs.see(self._state.obs)), _info(_arrays(self._state.metrics))
 
@@ -208,16 +208,16 @@ class Rows:
             raise base.UserError("step was called before reset")
         action = self._action(action)
 
-        self._state, ends = _programs(self.task, self.mode).step(self._state, action)
-        ends = _arrays(ends)
-        reward = self.task.reward(ends.final, ends.reward)
+        self._state, outcomes = _programs(self.task, self.mode).step(self._state, action)
+        outcomes = _arrays(outcomes)
+        reward = self.task.reward(outcomes.final, outcomes.reward)
         return Step(
-            obs=ends.obs,
-            final=ends.final,
-            reward=np.where(ends.is_stepped, reward, np.float32(0.0)),
-            terminated=ends.terminated,
-            truncated=ends.truncated,
-            info=_info(ends.metrics),
+            obs=outcomes.obs,
+            final=outcomes.final,
+            reward=np.where(outcomes.is_stepped, reward, np.float32(0.0)),
+            terminated=outcomes.terminated,
+            truncated=outcomes.truncated,
+            info=_info(outcomes.metrics),
         )
 
     def draw(self, painter: snapshot.Painter) -> list[UInt8[np.ndarray, "H W 3"]]:
@@ -239,7 +239,7 @@ class Rows:
         return pictures
 
     def _action(self, action: Any) -> np.ndarray:
-        """Returns actions as an array, [N, …]."""
+        """Checks actions, and returns them as an array [N, …]."""
         _, space = self.task.spaces()
         shape = (self.num, *cast(tuple[int, ...], space.shape))
         is_index = isinstance(space, spaces.Discrete)
@@ -247,7 +247,7 @@ class Rows:
         try:
             array = np.asarray(action)
         except ValueError:  # rows of different lengths
-            raise base.UserError(f"action {action!r} is no array") from None
+            raise base.UserError(f"action {action!r} is not an array") from None
 
         if not np.can_cast(array.dtype, kind, "same_kind"):
             raise base.UserError(f"action of type {array.dtype} must be {words}")
@@ -260,7 +260,7 @@ class Rows:
         with np.errstate(over="ignore"):  # what is beyond float32 becomes infinite
             array = array.astype(np.int32 if is_index else np.float32)
         if not np.isfinite(array).all():
-            # The simulation of a whole row would break down, and be counted as the policy's fault.
+            # NaN would make the simulation unstable, which counts as the policy's failure.
             place, value = next((i, x) for i, x in np.ndenumerate(array) if not np.isfinite(x))
             where = ", ".join(map(str, place[1:] if self.num == 1 else place))
             raise base.UserError(f"action[{where}] = {value} must be a finite number")
@@ -278,7 +278,7 @@ class Rows:
         return mask
 
     def __getstate__(self) -> dict[str, Any]:
-        """Returns what a copy needs: programs are made anew, keys are saved as numbers."""
+        """Returns what a copy needs: no programs, and keys as plain numbers."""
         state = self._state
         if state is not None:
             state = state.replace(key=jax.random.key_data(state.key))
@@ -304,7 +304,7 @@ class _Programs(NamedTuple):
 
 
 class _OwnMaze(NamedTuple):
-    """An environment whose episodes, where no place is named, are in the maze as it is."""
+    """An environment whose `reset` begins episodes in maze 0 of its table, the maze as given."""
 
     env: PlacedEnvironment
 
@@ -319,7 +319,7 @@ class _OwnMaze(NamedTuple):
 
 @functools.lru_cache(maxsize=16)
 def _programs(task: Task, mode: Mode) -> _Programs:
-    """Returns the programs of a task: environments that are alike share what is compiled."""
+    """Returns the compiled programs of a task, shared by all environments of equal tasks."""
     forks.check()
     env = _OwnMaze(task.environment())
 
@@ -331,11 +331,11 @@ def _programs(task: Task, mode: Mode) -> _Programs:
             return jax.vmap(env.reset)(keys)
         return jax.vmap(env.env.reset)(keys, chosen.maze, chosen.place)
 
-    def step(state: EnvState, action: Array) -> tuple[EnvState, Ends]:
+    def step(state: EnvState, action: Array) -> tuple[EnvState, Outcomes]:
         following = jax.vmap(functools.partial(_STEPS[mode], env))(state, action)
-        # Right after an auto-reset in the same step the flags are still those of the old episode.
+        # In this mode the state keeps the flags of the episode that ended, though a new one began.
         is_stepped = jnp.ones_like(state.is_over) if mode == Mode.SAME_STEP else ~state.is_over
-        return following, Ends(
+        return following, Outcomes(
             obs=jax.vmap(task.see)(following.obs),
             final=jax.vmap(task.see)(following.final_obs),
             reward=following.reward,
@@ -355,17 +355,17 @@ def _programs(task: Task, mode: Mode) -> _Programs:
 
 
 def _same_step(env: _OwnMaze, state: EnvState, action: Array) -> EnvState:
-    """Advances one step, and into the next episode where that ends one."""
+    """Advances one step, and begins the next episode in the same step where one ends."""
     return wrappers.AutoReset(env).step(state, action)
 
 
 def _next_step(env: _OwnMaze, state: EnvState, action: Array) -> EnvState:
-    """Advances one step, which begins the next episode where the last one ended one."""
+    """Advances one step; where the episode is over already, begins the next one instead."""
     return tree.where(state.is_over, env.reset(state.key), env.step(state, action))
 
 
 def _no_reset(env: _OwnMaze, state: EnvState, action: Array) -> EnvState:
-    """Advances one step; an episode that is over rests."""
+    """Advances one step; an episode that is over stays as it is."""
     return wrappers.rest_if_over(state, env.step(state, action))
 
 
@@ -373,10 +373,10 @@ _STEPS = {Mode.SAME_STEP: _same_step, Mode.NEXT_STEP: _next_step, Mode.DISABLED:
 
 
 def _info(metrics: dict[str, Float[np.ndarray, " N"]]) -> Info:
-    """Returns the metrics, and success as other projects call it."""
+    """Returns the metrics, and `is_success`, the name that Stable-Baselines3 reads."""
     return {**metrics, "is_success": metrics["success"] == 1.0}
 
 
 def _arrays(values: Any) -> Any:
-    """Copies a pytree to NumPy, whose arrays the caller may then write to."""
+    """Copies a pytree to NumPy arrays, which unlike JAX's views may be written to."""
     return jax.tree.map(np.array, values)

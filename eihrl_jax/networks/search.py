@@ -1,16 +1,16 @@
-"""Policy and value of the high level from a map, by shortest ways to what is worth most on it.
+"""Policy and value of the high level from a map, by shortest paths to the most valuable cells.
 
-Something is worth going for only where nothing has been seen yet, or where a goal waits. A goal on
-the map comes first. How much the unseen is worth, counted in moves, is learned from the cell and
-those around it, and from how far the unseen goes on behind it. Of all that is left, the robot goes
-for what is worth most less the moves to get there.
+Cells have a worth only where nothing has been seen yet, or where an unvisited goal is. A goal on
+the map comes first. The worth of an unseen cell, counted in moves, is learned from the cell and its
+neighbours, and from how far the unseen region extends beyond it. The robot heads for the cell whose
+worth minus the moves to get there is greatest.
 
-So there are no traps and no horizon: with any weights, each move comes one nearer to something that
-is new, and every goal that can be reached is reached (docs/planning.md). No weight knows where on
-the map it is used, how large the map is, or which way it looks.
+So there are neither traps nor a horizon: with any weights, each move brings the robot one move
+nearer to something new, and every goal that can be reached is reached (docs/planning.md). Weights
+are shared by all cells, and don't depend on position, map size or direction.
 
-A map is looked at as a whole once (`look`). What it comes down to are the few cells of which the
-best values consist, and of those alone logits and value are computed and learned (`judge`).
+`encode` searches the whole map once, and finds the few cells that determine logits and value.
+`predict` computes logits and value from those cells alone, and learning differentiates only that.
 """
 
 import functools
@@ -25,23 +25,23 @@ from jaxtyping import Array, Bool, Float, Int
 from eihrl_jax.ops import planning
 
 _OPEN = 3.0
-"""Logit of the first gates: 0.95, so that the unseen is worth more the farther it goes on."""
+"""Logit of the initial gates, 0.95: the farther the unseen extends, the more it is worth."""
 
 _FAINT = 0.03
-"""Scale of the last layer's first weights: at first all that is unseen is worth the same."""
+"""Scale of the last layer's initial weights: all unseen cells start with nearly equal worths."""
 
 _LOG_BOUND = 10.0
-"""Greatest size of a worth's logarithm, so that all worths are finite."""
+"""Largest absolute value of a worth's logarithm, so that all worths are finite."""
 
 _FARTHEST = 30.0
-"""Moves beyond which the value doesn't tell distances apart."""
+"""Moves at which the value's input is clipped."""
 
 _DIGIT = 3  # bits of a code that hold 0 to 4 cells
 _CHANNELS = 3  # wall, goal, unseen
 _ROBOT = 1 << 27  # bit of a code beyond its digits
 
 _CACHED = 2**15
-"""Cells of the maps that a processor looks at together: what is made of them stays in its cache."""
+"""Cells of all maps that a CPU encodes at once, so that the arrays fit into its cache."""
 
 _SIZES = {"nothing": 1, "sides": 2, "corners": 3}
 
@@ -49,16 +49,16 @@ Layer: TypeAlias = tuple[Float[Array, "i o"], Float[Array, " o"]]
 """Kernel and bias."""
 
 
-class Evidence(struct.PyTreeNode):
-    """What logits and value hang on. The cells that count for each side are K + 1.
+class Encoding(struct.PyTreeNode):
+    """What logits and value depend on. K is `look_ahead`.
 
     Attributes:
-      codes: int32 [4, K + 1], the best cell to go for through each of the four cells around the
-        robot's, and those behind it of which its worth consists; see `_codes`.
-      moves: float32 [4], to the best cell from that around the robot's.
-      wall: bool [4], whether a wall stands around the robot's cell.
-      means: float32 [F], of what the hidden layer makes of the map's cells.
-      shares: float32 [3], whether there is a goal, and the unseen's and the walls' share of cells.
+      codes: int32 [4, K + 1], for each of the four neighbours of the robot's cell, the best cell to
+        reach through it, followed by the K cells beyond it that add to its worth; see `_codes`.
+      moves: float32 [4], from each neighbour to its best cell.
+      wall: bool [4], whether each neighbour is a wall.
+      means: float32 [F], the hidden layer's features, averaged over the map's cells.
+      shares: float32 [3], 1 if there is a goal, and the shares of cells that are unseen and wall.
     """
 
     codes: Int[Array, "4 k *b"]
@@ -72,12 +72,13 @@ class SearchActorCritic(nn.Module):
     """Logits of the subgoals from the moves that each costs or saves, and a value.
 
     Attributes:
-      num_moves: length of the longest way that is looked at, which training limits; None: any.
-      look_ahead: cells into the unseen that count for what going there is worth.
-      cell_features: width of the hidden layer that looks at a cell and those around it.
+      num_moves: length of the longest path that is searched, which bounds the cost of training;
+        None: any.
+      look_ahead: how many cells into the unseen add to a cell's worth.
+      cell_features: width of the hidden layer applied to each cell.
       value_features: width of the hidden layer before the value.
-      around: what is looked at beside a cell: "nothing", the four cells at its "sides", or also
-        those at its "corners".
+      around: inputs of that layer besides the cell: "nothing", the four neighbours at its "sides",
+        or also those at its "corners".
     """
 
     num_moves: int | None = 24
@@ -87,14 +88,14 @@ class SearchActorCritic(nn.Module):
     around: str = "sides"
 
     def setup(self) -> None:
-        """Names the parameters."""
+        """Defines the layers and parameters."""
         num_inputs = _CHANNELS * _SIZES[self.around]
         self.cells = _Dense(num_inputs, self.cell_features, 2**0.5)
         self.worths = _Dense(self.cell_features, 2, _FAINT)
         self.moves_per_worth = self.param("moves_per_worth", nn.initializers.constant(4.0), ())
         self.log_scale = self.param("log_scale", nn.initializers.constant(0.7), ())
         self.pooled = nn.Dense(self.value_features)
-        # A first value of zero: without a reward no advantage, so nothing is unlearned by chance.
+        # Initial values near zero: without reward there is no advantage, so nothing is unlearned.
         self.value = nn.Dense(1, kernel_init=nn.initializers.orthogonal(0.01))
 
     def __call__(self, chart: Bool[Array, "n m 4"]) -> tuple[Float[Array, "4"], Float[Array, ""]]:
@@ -103,53 +104,54 @@ class SearchActorCritic(nn.Module):
         Source: the worth of the unseen is value iteration (Tamar et al. 2016, Sec. 4); worths in
           moves, and ways to them, are ours.
         """
-        return self.judge(self.look(chart))
+        return self.predict(self.encode(chart))
 
-    def look(self, chart: Bool[Array, "n m 4"]) -> Evidence:
-        """Returns what there is to go for on a map; nothing is learned of how it was found."""
+    def encode(self, chart: Bool[Array, "n m 4"]) -> Encoding:
+        """Searches a map, see `raster.draw_map`, for the best cells; has no gradient."""
         weights = _Weights(self.cells(), self.worths(), self.moves_per_worth)
         options = _Options(self.num_moves, self.look_ahead, self.around)
-        return _look(options, jax.lax.stop_gradient(weights), _own(chart))
+        return _encode(options, jax.lax.stop_gradient(weights), _own(chart))
 
-    def judge(self, evidence: Evidence) -> tuple[Float[Array, "4"], Float[Array, ""]]:
-        """Returns logits and value, whose derivatives are those of the whole map's."""
-        values = self._worths(evidence.codes) - evidence.moves
+    def predict(self, encoding: Encoding) -> tuple[Float[Array, "4"], Float[Array, ""]]:
+        """Returns logits and value, with the same gradient as a search of the whole map."""
+        values = self._worths(encoding.codes) - encoding.moves
         best = values.max()
 
-        # A move is a move near and far: the four differ by two moves at most, wherever the goal is,
-        # for one can come back through the robot's cell; who bumps into a wall stays in it.
+        # The four values differ by two moves at most, however far the goal is, since the way from
+        # any neighbour may lead back through the robot's cell. A move into a wall leaves the robot
+        # in its cell: one move lost.
         around = jnp.maximum(values, best - 2.0)
-        around = jnp.where(evidence.wall, best - 1.0, around)
+        around = jnp.where(encoding.wall, best - 1.0, around)
         is_something_left = best > planning.NOWHERE / 2
         logits = jnp.where(is_something_left, jnp.exp(self.log_scale) * (around - best), 0.0)
-        return logits, self._value(evidence, jnp.where(is_something_left, best, -_FARTHEST))
+        return logits, self._value(encoding, jnp.where(is_something_left, best, -_FARTHEST))
 
     def _worths(self, codes: Int[Array, "4 k"]) -> Float[Array, "4"]:
-        """Returns what going to the first of some cells is worth, in moves."""
+        """Returns the worth of the first cell of each row of codes, in moves."""
         features = _features(codes, _SIZES[self.around])
         _, goal, unseen = (each > 0 for each in features[:_CHANNELS])
         outputs = _apply(self.worths(), nn.relu(_apply(self.cells(), features)))
         reward, gate = _reward_and_gate(outputs[0], outputs[1], unseen)
 
-        # What `planning.value_iteration` makes of the first cell, from the last one on.
+        # As `planning.value_iteration` computes the first cell's value, from the last cell back.
         worth = reward[:, -1]
         for k in reversed(range(codes.shape[1] - 1)):
             worth = reward[:, k] + gate[:, k] * worth
         return _worth(worth, goal[:, 0], unseen[:, 0], self.moves_per_worth)
 
-    def _value(self, evidence: Evidence, best: Float[Array, ""]) -> Float[Array, ""]:
-        """Returns the value, from means over the map and the way to what the robot goes for."""
+    def _value(self, encoding: Encoding, best: Float[Array, ""]) -> Float[Array, ""]:
+        """Returns the value, from means over the map and the best cell's worth less its moves."""
         near = jnp.where(best > planning.GOAL / 2.0, best - planning.GOAL, best)
         near = jnp.clip(near, -_FARTHEST, _FARTHEST)
         scalars = jnp.stack([near / _FARTHEST, jnp.exp(near / (_FARTHEST / 2.0))])
-        # The policy's part is left to the policy's loss.
+        # The value's loss doesn't train worths: these belong to the policy.
         scalars = jax.lax.stop_gradient(scalars)
-        seen = self.pooled(jnp.concatenate([evidence.means, scalars, evidence.shares]))
+        seen = self.pooled(jnp.concatenate([encoding.means, scalars, encoding.shares]))
         return self.value(nn.relu(seen))[0]
 
 
 class _Dense(nn.Module):
-    """The weights of a dense layer, for features that come first.
+    """The weights of a dense layer whose features are the first axis.
 
     Attributes:
       num_inputs: of the layer.
@@ -170,11 +172,11 @@ class _Dense(nn.Module):
 
 
 class _Weights(NamedTuple):
-    """What decides where to go.
+    """The weights of the search.
 
     Attributes:
       cells: hidden layer.
-      worths: layer behind it.
+      worths: layer after it.
       moves_per_worth: scale of worths.
     """
 
@@ -184,36 +186,36 @@ class _Weights(NamedTuple):
 
 
 class _Options(NamedTuple):
-    """Those of the network of the same names."""
+    """The network's attributes of the same names."""
 
     num_moves: int | None
     look_ahead: int
     around: str
 
 
-def _look(options: _Options, weights: _Weights, chart: Int[Array, "n m"]) -> Evidence:
-    """Looks at one map of `_own`, and under `vmap` at many with the batch as the last axis."""
+def _encode(options: _Options, weights: _Weights, chart: Int[Array, "n m"]) -> Encoding:
+    """Encodes one map of `_own`; under `vmap`, several with the batch as the last axis."""
 
     @jax.custom_batching.custom_vmap
-    def look(weights: _Weights, chart: Int[Array, "n m"]) -> Evidence:
-        return _look_at(options, weights, _codes(chart, options.around))
+    def encode(weights: _Weights, chart: Int[Array, "n m"]) -> Encoding:
+        return _encode_codes(options, weights, _codes(chart, options.around))
 
-    @look.def_vmap
-    def look_at_many(
+    @encode.def_vmap
+    def encode_batch(
         _: int, is_batched: list[_Weights | bool], weights: _Weights, charts: Array
-    ) -> tuple[Evidence, Evidence]:
+    ) -> tuple[Encoding, Encoding]:
         if any(jax.tree.leaves(is_batched[0])) or not is_batched[1]:
             axes = jax.tree.map(lambda is_it: 0 if is_it else None, tuple(is_batched))
-            found = jax.vmap(look.fun, axes)(weights, charts)
+            encodings = jax.vmap(encode.fun, axes)(weights, charts)
         else:
-            found = _look_at_many(options, weights, charts)
-        return found, jax.tree.map(lambda _: True, found)
+            encodings = _encode_batch(options, weights, charts)
+        return encodings, jax.tree.map(lambda _: True, encodings)
 
-    return look(weights, chart)
+    return encode(weights, chart)
 
 
-def _look_at_many(options: _Options, weights: _Weights, charts: Int[Array, "B n m"]) -> Evidence:
-    """Looks at many maps of `_own`, as many at once as the processor's cache has room for."""
+def _encode_batch(options: _Options, weights: _Weights, charts: Int[Array, "B n m"]) -> Encoding:
+    """Encodes a batch of maps of `_own`, in parts that fit into the CPU's cache."""
     num, rows, columns = charts.shape
     at_once = max(1, _CACHED // (rows * columns)) if jax.default_backend() == "cpu" else num
     parts = -(-num // at_once)
@@ -223,34 +225,35 @@ def _look_at_many(options: _Options, weights: _Weights, charts: Int[Array, "B n 
     charts = jnp.moveaxis(charts.reshape(parts, size, rows, columns), 1, -1)
     if size == 1:
         charts = charts[..., 0]
-    # Made before the loop, so that XLA doesn't make them anew wherever they are used in it.
+    # Computed before the loop: inside of it XLA would compute them again at each use.
     codes = jax.vmap(lambda chart: _codes(chart, options.around))(charts)
-    found = jax.lax.map(functools.partial(_look_at, options, weights), codes)
+    encodings = jax.lax.map(functools.partial(_encode_codes, options, weights), codes)
     if size == 1:
-        return found
+        return encodings
     return jax.tree.map(
-        lambda leaf: jnp.moveaxis(leaf, -1, 1).reshape(parts * size, *leaf.shape[1:-1])[:num], found
+        lambda leaf: jnp.moveaxis(leaf, -1, 1).reshape(parts * size, *leaf.shape[1:-1])[:num],
+        encodings,
     )
 
 
-def _look_at(options: _Options, weights: _Weights, codes: Int[Array, "n m *b"]) -> Evidence:
-    """Looks at maps of `_codes`."""
+def _encode_codes(options: _Options, weights: _Weights, codes: Int[Array, "n m *b"]) -> Encoding:
+    """Encodes maps of `_codes`."""
     robot = (codes & _ROBOT) > 0
     features = _features(codes, _SIZES[options.around])
     wall, goal, unseen = (each > 0 for each in features[:_CHANNELS])
 
     hidden = nn.relu(_apply(weights.cells, features))
     outputs = _apply(weights.worths, hidden)
-    # Values travel through the unseen alone: what is seen has no worth that could hold a robot.
+    # Values spread through unseen cells alone: a seen cell has no worth, so no robot stays at it.
     reward, gate = _reward_and_gate(outputs[0], outputs[1], unseen)
     sums, before = planning.value_iteration(reward, gate, options.look_ahead)
     worth = _worth(sums, goal & ~wall, unseen, weights.moves_per_worth)
 
-    # Ways lead through what hasn't been seen, as if nothing were there.
+    # Unseen cells count as free on the way.
     ways = planning.search(worth, ~wall, robot, options.num_moves)
     cells = jnp.stack([planning.followed(before, target) for target in ways.target])
     shares = [each.mean((0, 1), dtype=jnp.float32) for each in (unseen, wall)]
-    return Evidence(
+    return Encoding(
         codes=planning.look_up(codes, cells, 0),
         moves=ways.moves,
         wall=planning.at_sides(wall, robot),
@@ -260,22 +263,22 @@ def _look_at(options: _Options, weights: _Weights, codes: Int[Array, "n m *b"]) 
 
 
 def _own(chart: Bool[Array, "n m 4"]) -> Int[Array, "n m"]:
-    """Returns a number per cell: a digit for each of wall, goal and unseen, and who is there."""
+    """Packs a map into a number per cell: digits for wall, goal and unseen, a bit for the robot."""
     wall, goal, robot, unseen = (chart[..., channel].astype(jnp.int32) for channel in range(4))
     return wall | goal << _DIGIT | unseen << 2 * _DIGIT | robot * _ROBOT
 
 
 def _codes(chart: Int[Array, "n m *b"], around: str) -> Int[Array, "n m *b"]:
-    """Returns what stands in each cell and around it, in digits.
+    """Adds to each cell's number how many of its neighbours are wall, goal and unseen.
 
     Args:
       chart: see `_own`.
       around: see `SearchActorCritic`.
 
     Returns:
-      The first three digits tell whether the cell is wall, a goal, or unseen; the next three how
-      many at its sides are, the last three how many at its corners, as far as `around` says; and
-      who is there.
+      Three digits for the cell itself (wall, goal, unseen), then three counts over the neighbours
+      at its sides and three over those at its corners, as far as `around` says; and the robot's
+      bit.
     """
     own = chart & ~_ROBOT
     east, west, north, south = planning.neighbours(own)
@@ -289,13 +292,13 @@ def _codes(chart: Int[Array, "n m *b"], around: str) -> Int[Array, "n m *b"]:
 
 
 def _features(codes: Int[Array, "*k"], size: int) -> Float[Array, "F *k"]:
-    """Returns the digits of codes, of `size` times the channels."""
+    """Unpacks the digits of codes into `size` times three features."""
     shifts = _DIGIT * jnp.arange(_CHANNELS * size).reshape(-1, *(1,) * codes.ndim)
     return ((codes[None] >> shifts) & ((1 << _DIGIT) - 1)).astype(jnp.float32)
 
 
 def _apply(layer: Layer, inputs: Float[Array, "i *k"]) -> Float[Array, "o *k"]:
-    """Applies a dense layer to features that come first."""
+    """Applies a dense layer along the first axis."""
     kernel, bias = layer
     return jnp.tensordot(kernel, inputs, ((0,), (0,))) + bias.reshape(-1, *(1,) * (inputs.ndim - 1))
 
@@ -303,7 +306,7 @@ def _apply(layer: Layer, inputs: Float[Array, "i *k"]) -> Float[Array, "o *k"]:
 def _reward_and_gate(
     log_reward: Float[Array, "*k"], opening: Float[Array, "*k"], unseen: Bool[Array, "*k"]
 ) -> tuple[Float[Array, "*k"], Float[Array, "*k"]]:
-    """Returns what values of the unseen are made of; nothing where something has been seen."""
+    """Returns reward and gate of value iteration in unseen cells, zeros in those that are seen."""
     reward = jnp.exp(jnp.clip(log_reward, -_LOG_BOUND, _LOG_BOUND))
     return jnp.where(unseen, reward, 0.0), jnp.where(unseen, nn.sigmoid(opening + _OPEN), 0.0)
 
@@ -314,8 +317,8 @@ def _worth(
     unseen: Bool[Array, "*k"],
     moves_per_worth: Float[Array, ""],
 ) -> Float[Array, "*k"]:
-    """Returns what going to a cell is worth, in moves."""
+    """Returns the worth of cells, in moves."""
     logs = jnp.log(jnp.where(unseen, sums, 1.0))
-    # That goals pay is known; that one on the map comes before all that is new is ours.
+    # The task says that goals pay; that a known goal precedes anything unseen is our design.
     worth = jnp.where(unseen, moves_per_worth * logs, planning.NOWHERE)
     return jnp.where(goal, planning.GOAL, worth)

@@ -1,4 +1,4 @@
-"""The parts of `experiments.report`: which evaluations each needs, and what it shows of them."""
+"""The parts of the report: for each the evaluations that it needs, and the tables and pictures."""
 
 import dataclasses
 import functools
@@ -23,24 +23,24 @@ TRAINED = ("u", "s", "spiral")
 ROBOTS = ("ant", "point", "swimmer", "humanoid")
 SLOW = ("swimmer", "humanoid")
 PRESETS = {"best": "ours, best", "paper": "ours, as in the paper"}
-"""How the tables call the presets."""
+"""Labels of the presets in tables."""
 
 _CURVES = {
     "sparse": ("success", "success, %", 100.0),
     "dense": ("success", "success, %", 100.0),
     "dense, average": ("eval/reward", "reward per decision", 1.0),
 }
-"""What learning curves show: column of the metrics, axis and factor."""
+"""What learning curves show: column of the metrics, label and scale of the axis."""
 
 ROOM_SIDE = 9
-"""Rows and columns inside of a generated room."""
+"""Free rows and columns of a generated room, without its outer wall."""
 
 Cells = tuple[results.Cell, ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class Runs:
-    """The high levels of a report, and the evaluations of them that are there or are made now.
+    """The high levels of a report, and their evaluations, which are cached in its folder.
 
     Attributes:
       options: of the report.
@@ -50,27 +50,27 @@ class Runs:
 
     @property
     def folder(self) -> pathlib.Path:
-        """Holds the high levels, `<preset>-<maze>-<seed>` each."""
+        """The folder of the high levels, each called `<preset>-<maze>-<seed>`."""
         return self.options.policies or policies.PRETRAINED
 
     def highs(self, trained: str) -> tuple[str, ...]:
-        """Lists the high levels trained alike, e.g. "best-random", one per seed."""
+        """Lists the high levels, one per seed, of a training such as "best-random"."""
         return tuple(map(str, cached_runs.seeds_of(self.folder, trained)))
 
     def metrics(self, trained: str) -> list[pathlib.Path]:
-        """Lists the metrics of the same, in run folders or as shipped."""
+        """Lists their files of metrics, in run folders or as shipped."""
         names = ("metrics.csv", "high_metrics.csv")
         folders = map(pathlib.Path, self.highs(trained))
         files = [folder / name for folder in folders for name in names]
         return [file for file in files if file.exists()]
 
     def evaluate(self, name: str, high: tuple[str, ...], **options: object) -> Cells:
-        """Returns the results of an evaluation, made if it isn't there; none without high level.
+        """Returns the results of an evaluation, which is run if it isn't cached.
 
         Args:
           name: of the evaluation's folder.
-          high: the high levels.
-          **options: of `EvaluateConfig`, where they aren't the report's own.
+          high: the high levels; without any there are no results.
+          **options: of `EvaluateConfig`, in place of the report's own.
         """
         if not high:
             return ()
@@ -83,20 +83,20 @@ class Runs:
         return cached_runs.evaluated(changes.apply(own, options))
 
     def higl(self, name: str, trained_in: str, mazes: tuple[str, ...]) -> Cells:
-        """Returns the results of HIGL, see `evaluate`; none where nobody walks."""
+        """Returns the results of HIGL, see `evaluate`; none unless full movement is evaluated."""
         if "full" not in self.options.movement:
             return ()
         highs = self.highs(f"higl-{trained_in}")
         return self.evaluate(name, highs, mazes=mazes, movement=("full",))
 
     def picture(self, name: str, pattern: str, caption: str) -> list[page.Picture]:
-        """Returns the first picture of an evaluation whose name fits, if there is one."""
+        """Returns the first picture of an evaluation whose file name matches, if there is one."""
         paths = sorted((self.options.out / "evaluations" / name).glob(pattern))
         return [page.Picture(path, caption) for path in paths[:1]]
 
 
 def own(runs: Runs) -> page.Section:
-    """High levels and mazes that the user names."""
+    """Section of the high levels and mazes that the user names."""
     cells = runs.evaluate("own", runs.options.high, mazes=runs.options.mazes)
     # Seeds of one training share a row.
     groups: dict[str, list[results.Cell]] = {}
@@ -109,7 +109,7 @@ def own(runs: Runs) -> page.Section:
     rows = comparison.by_movement(evaluated)
     names = tuple(dict.fromkeys(cell.maze for cell in cells))
     return page.Section(
-        title="Runs and mazes of one's own",
+        title="Your own runs and mazes",
         tables=[
             comparison.success_by_maze("Success", rows, names),
             comparison.failures("How their episodes ended", rows),
@@ -125,7 +125,7 @@ def own(runs: Runs) -> page.Section:
 
 
 def table1(runs: Runs) -> page.Section:
-    """Trained in the Random Square alone, then unchanged in the others."""
+    """Section of Table 1: trained in the Random Square, evaluated in mazes never seen."""
     ours = {
         label: runs.evaluate(f"table1-{preset}", highs, mazes=TABLE1)
         for preset, label, highs in _trained_for_others(runs)
@@ -141,7 +141,7 @@ def table1(runs: Runs) -> page.Section:
     ]
     return page.Section(
         title="Zero-shot mazes (Table 1)",
-        text="Trained on the Random Square with oracle movement and used unchanged in mazes it has "
+        text="Trained in the Random Square with oracle movement, then evaluated unchanged in mazes "
         "never seen.",
         tables=[
             comparison.success_by_maze("Table 1", [*published, *rows], TABLE1),
@@ -156,8 +156,8 @@ def table1(runs: Runs) -> page.Section:
 
 
 def trained(runs: Runs) -> page.Section:
-    """Trained in the maze itself, and in the Random Square alone."""
-    # Each maze has high levels of its own, so it is an evaluation of its own.
+    """Section of U, S and Spiral: trained in the maze itself, or in the Random Square."""
+    # One evaluation per maze, since each has its own high levels.
     evaluated: dict[str, Sequence[results.Cell]] = {
         label: [
             cell
@@ -175,8 +175,8 @@ def trained(runs: Runs) -> page.Section:
 
     return page.Section(
         title="Trained in the maze itself",
-        text="U, S and Spiral, with the time limits of the paper's Table 3; beside it the high "
-        "level that knows the Random Square alone.",
+        text="U, S and Spiral, with the time limits of the paper's Table 3, compared with the high "
+        "level trained in the Random Square.",
         tables=[
             comparison.success_by_maze("U, S and Spiral", rows, TRAINED),
             comparison.failures("How their episodes ended", rows),
@@ -193,12 +193,12 @@ def trained(runs: Runs) -> page.Section:
 
 
 def table2(runs: Runs) -> page.Section:
-    """Trained in U with the ant's postures, then with other robots."""
+    """Section of Table 2: trained in U with the ant's postures, evaluated with other robots."""
     evaluated: dict[str, Sequence[results.Cell]] = {
         label: [
             cell
             for movement, robot in itertools.product(runs.options.movement, ROBOTS)
-            # One evaluation each, as swimmer and humanoid walk fewer episodes.
+            # One evaluation each, because swimmer and humanoid have fewer episodes.
             for cell in runs.evaluate(
                 f"table2-{preset}-{robot}-{movement}",
                 runs.highs(f"{preset}-u"),
@@ -221,9 +221,10 @@ def table2(runs: Runs) -> page.Section:
     ]
     return page.Section(
         title="Zero-shot robots (Table 2)",
-        text="Trained in the U-shaped maze as an ant, then unchanged as other robots. Who sees "
-        "postures was shown the ant's and is now shown the others'; preset best sees no robot. "
-        f"Swimmer and humanoid walk {runs.options.slow_episodes} episodes per high level.",
+        text="Trained in the U-shaped maze with the ant, then evaluated unchanged with other "
+        "robots. A high level that sees the robot was trained with pictures of the ant; preset "
+        "best doesn't see it. Swimmer and humanoid have "
+        f"{runs.options.slow_episodes} episodes per high level.",
         tables=[comparison.success_by_robot("Table 2, Maze-U", rows, ROBOTS)],
         pictures=[
             picture
@@ -234,13 +235,13 @@ def table2(runs: Runs) -> page.Section:
 
 
 def more_time(runs: Runs) -> page.Section:
-    """What more time is worth, and rooms of unseen seeds."""
+    """Section of Table 1 with twice the time limit, and of generated rooms never seen."""
     oracle = {"movement": ("oracle",), "animate": "none"}
     late, in_rooms = [], []
     for preset, label, highs in _trained_for_others(runs):
         cells = runs.evaluate(f"twice-{preset}", highs, mazes=TABLE1, num_decisions=48, **oracle)
         late.append(comparison.Row(label, cells))
-        # A room is one sample, like a seed: episodes in the same one would tell little more.
+        # One episode per room: further ones in the same room would add little information.
         once_each = {"mazes": _rooms(runs), "episodes": 1, "heatmaps": False}
         cells = runs.evaluate(f"rooms-{preset}", highs, **once_each, **oracle)
         in_rooms.append(comparison.Row(label, cells))
@@ -251,7 +252,8 @@ def more_time(runs: Runs) -> page.Section:
     )
     return page.Section(
         title="Twice the time, and generated rooms",
-        text="Oracle movement. What twice the time limit adds was only late before.",
+        text="Oracle movement. Episodes that succeed only within twice the limit had failed for "
+        "lack of time.",
         tables=[
             comparison.success_by_maze("Within twice the limit", late, TABLE1),
             comparison.overall(title, in_rooms),
@@ -260,12 +262,12 @@ def more_time(runs: Runs) -> page.Section:
 
 
 def learning(runs: Runs) -> page.Section:
-    """Learning curves with their range over seeds (paper, Figures 5 and 6)."""
+    """Section of learning curves with their range over seeds (paper, Figures 5 and 6)."""
     pictures = []
     for maze, (kind, (column, label, scale)) in itertools.product(
         ("random", *TRAINED), _CURVES.items()
     ):
-        # Dense runs are drawn twice, by their success and by what they are paid for.
+        # Dense runs are drawn twice, with success and with their reward.
         reward = "-dense" if kind.startswith("dense") else ""
         metrics = {
             name: runs.metrics(f"{preset}-{maze}{reward}") for preset, name in PRESETS.items()
@@ -276,7 +278,7 @@ def learning(runs: Runs) -> page.Section:
             if files
         }
 
-        # A maze that no preset was trained in has no picture.
+        # No picture of a maze in which no preset was trained.
         if drawn:
             runs.options.out.mkdir(parents=True, exist_ok=True)
             path = runs.options.out / f"learning-{maze}-{kind.replace(', ', '-')}.png"
@@ -291,18 +293,18 @@ def learning(runs: Runs) -> page.Section:
                 pictures.append(page.Picture(path, caption))
     return page.Section(
         title="Learning (Figures 5 and 6)",
-        text="With dense reward, who has reached the last goal is paid 1 for each decision left.",
+        text="With dense reward, every decision left after the last goal has reward 1.",
         pictures=pictures,
     )
 
 
 def baselines(runs: Runs) -> page.Section:
-    """The baselines' learning beside ours."""
+    """Section of the baselines' learning curves beside ours."""
     return baseline_curves.section(runs.metrics, runs.options.baselines, runs.options.out)
 
 
 def ablations(runs: Runs) -> page.Section:
-    """What trainings with one thing changed reach, from folders of `ablate_high`."""
+    """Section of ablations, from folders that `ablate_high` has written."""
     shown, pictures = [], []
     for folder in runs.options.ablations:
         files = sorted((folder / "evaluations").glob("*/eval.json"), key=_ablation_order)
@@ -314,9 +316,9 @@ def ablations(runs: Runs) -> page.Section:
         if (picture := folder / "curves.png").exists():
             pictures.append(page.Picture(picture, f"Success while training, {folder.name}."))
     return page.Section(
-        title="One thing changed at a time",
-        text="Trained on the Random Square with one option of the preset changed, then evaluated "
-        "as in Table 1: the oracle with an epsilon of 0.3 units, whatever the training had.",
+        title="Ablations",
+        text="Trained in the Random Square with one option of the preset changed, then evaluated "
+        "as in Table 1, with the oracle's epsilon at 0.3 units whatever it was in training.",
         tables=shown,
         pictures=pictures,
     )
@@ -336,13 +338,13 @@ PARTS: dict[report_config.Part, Callable[[Runs], page.Section]] = {
 
 
 def _trained_for_others(runs: Runs) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Lists what is used in mazes that it wasn't trained in: preset, label, high levels."""
+    """Lists preset, label and high levels of what was trained in the Random Square."""
     trained = [(preset, label, runs.highs(f"{preset}-random")) for preset, label in PRESETS.items()]
     return [(preset, label, highs) for preset, label, highs in trained if highs]
 
 
 def _rooms(runs: Runs) -> tuple[str, ...]:
-    """Generates rooms that nothing was trained in, unless they are there; returns their files."""
+    """Generates rooms unless they exist already, and returns their files."""
     folder = runs.options.out / "rooms"
     folder.mkdir(parents=True, exist_ok=True)
     files = {seed: folder / f"room-{seed:05d}.txt" for seed in range(runs.options.num_rooms)}
@@ -353,12 +355,12 @@ def _rooms(runs: Runs) -> tuple[str, ...]:
 
 
 def _ablation_order(path: pathlib.Path) -> tuple[int, str]:
-    """Puts the preset itself first, and last what learns nothing."""
+    """Sorts the unchanged preset first, and high levels without learning last."""
     name = _variant(path)
     return {"preset": 0, paper.RAND_H: 2, evaluate_config.FRONTIER: 2}.get(name, 1), name
 
 
 def _variant(path: pathlib.Path) -> str:
-    """Returns what `ablate_high` calls the variant whose evaluation this is."""
+    """Returns the name that `ablate_high` gave the variant of an evaluation's file."""
     folder = path.parent.name
     return folder if folder == paper.RAND_H else folder.replace("-", " ")

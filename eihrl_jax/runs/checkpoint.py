@@ -1,9 +1,9 @@
-"""Checkpoints: pytrees on disk, complete or not there at all.
+"""Checkpoints: pytrees on disk, written atomically.
 
-A tree is a folder `arrays/`, see `arrays`, beside a `manifest.json` that lists every array's
+A tree is stored as a folder `arrays/`, see `arrays`, beside a `manifest.json` with every array's
 shape and type and every file's checksum. It is written under a hidden name and renamed when it is
-complete, so a process killed at any moment leaves the last complete checkpoint; whatever a killed
-save left is removed by the next one. Nothing is ever unpickled.
+complete: so a process killed at any moment leaves the last complete checkpoint, and the next save
+removes the incomplete one. Nothing is ever unpickled.
 """
 
 import hashlib
@@ -26,9 +26,9 @@ KEEP = 2
 """Checkpoints kept in a run folder."""
 
 MAX_SIZE = 2**30
-"""Most bytes that arrays may have which are read as their manifest announces them."""
+"""Most bytes of all arrays together, if a tree is read without a template."""
 
-_HIDDEN = writing.TEMPORARY  # begins no step, so `_steps` never sees it
+_HIDDEN = writing.TEMPORARY  # not a digit, so `_steps` ignores such folders
 _FORMAT = 1  # of the manifest; counts up when an older reader would misread it
 _MANIFEST = "manifest.json"
 
@@ -36,17 +36,17 @@ TreeT = TypeVar("TreeT")
 
 
 class StructureError(base.UserError):
-    """What a folder holds is whole, but has other arrays than those that are needed."""
+    """A folder is undamaged, but its arrays aren't those of the template."""
 
 
 def save(folder: pathlib.Path, step: int, state: PyTree, *, keep: int = KEEP) -> pathlib.Path:
     """Writes a checkpoint, synchronously, then removes all but the last `keep`.
 
-    A step that is already there stays as it is: one run holds one state per step.
+    If the step exists already, it isn't written again: a run has one state per step.
 
     Args:
-      folder: the run's folder of checkpoints; made if it isn't there.
-      step: counts up from checkpoint to checkpoint.
+      folder: the run's folder of checkpoints; created if it doesn't exist.
+      step: must increase from checkpoint to checkpoint.
       state: pytree of arrays, typed keys and numbers.
       keep: how many checkpoints remain.
 
@@ -56,7 +56,7 @@ def save(folder: pathlib.Path, step: int, state: PyTree, *, keep: int = KEEP) ->
     path = folder / f"{step:012d}"
     if not path.exists():
         write(path, state)
-    # Only once the new one is complete are older ones removed.
+    # Older ones are removed only when the new one is complete.
     if jax.process_index() == 0:
         _clean(folder)
         for old in _steps(folder)[:-keep]:
@@ -65,7 +65,7 @@ def save(folder: pathlib.Path, step: int, state: PyTree, *, keep: int = KEEP) ->
 
 
 def last_step(folder: pathlib.Path) -> int | None:
-    """Returns the step of the last complete checkpoint of a run, or None where there is none."""
+    """Returns the step of a run's last complete checkpoint, or None if there is none."""
     return max(_steps(folder), default=None)
 
 
@@ -74,14 +74,14 @@ def restore(folder: pathlib.Path, template: TreeT) -> tuple[int, TreeT] | None:
 
     Args:
       folder: the run's folder of checkpoints.
-      template: a state of the same structure, as a fresh start makes it; gives types and placement.
-        Where it has shapes alone, arrays go to the default device.
+      template: an initial state of the run, which gives structure, types and placement. If it has
+        only shapes, arrays go to the default device.
 
     Returns:
-      Its step and its state, or None where no checkpoint was completed yet.
+      The checkpoint's step and state, or None if there is no complete one.
 
     Raises:
-      UserError: the checkpoint is damaged or holds another structure.
+      UserError: the checkpoint is damaged or has another structure.
     """
     steps = _steps(folder)
     if not steps:
@@ -90,7 +90,7 @@ def restore(folder: pathlib.Path, template: TreeT) -> tuple[int, TreeT] | None:
     try:
         return steps[-1], read(folder / f"{steps[-1]:012d}", template)
     except StructureError as error:
-        # An older checkpoint of the run would have the same structure: nothing to go back to.
+        # Older checkpoints of the run have the same structure, so there is none to go back to.
         origin = "it comes from other options or from another version of eihrl_jax"
         raise base.UserError(f"{error}; {origin}") from None
     except base.UserError as error:
@@ -107,24 +107,24 @@ def write(
     files: Mapping[str, str] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Writes one tree to the new folder `path`, which appears only when it is complete.
+    """Writes one tree to a new folder, which appears only when it is complete.
 
-    Where several processes train together, all of them call it, and the first one does what is not
-    Orbax's.
+    Where several processes train together, all must call this: Orbax writes the arrays from all of
+    them, the first process writes the rest.
 
     Args:
       path: the folder.
       tree: pytree of arrays, typed keys and numbers.
-      files: further text files by name, covered by the same checksums.
-      overwrite: remove what is already there, if it is something that this function wrote.
+      files: further text files by name, also covered by checksums.
+      overwrite: replace an existing folder, if this function wrote it.
 
     Raises:
-      UserError: something is already there.
-      OSError: it can't be written; what there is of it is removed.
+      UserError: the path exists already.
+      OSError: it can't be written; incomplete files are removed.
     """
     hidden = path.parent / f"{_HIDDEN}{path.name}"
     if jax.process_index() == 0:
-        # Only what this module wrote is ever removed, never a folder of the user's.
+        # Only what this module wrote is ever removed, never a user's folder.
         if overwrite and is_complete(path):
             _remove(path)
         if path.exists():
@@ -143,7 +143,7 @@ def write(
         checksums = {name: _checksum(file) for name, file in _files(hidden).items()}
         manifest = {"format": _FORMAT, "arrays": describe(tree), "files": checksums}
         writing.write_text(hidden / _MANIFEST, json.dumps(manifest, indent=1))
-        # The one moment at which the checkpoint comes to be.
+        # Atomic: from here on the checkpoint exists.
         hidden.rename(path)
     arrays.wait_for_all("checkpoint: complete")
 
@@ -153,18 +153,19 @@ def read(path: pathlib.Path) -> PyTree: ...
 @overload
 def read(path: pathlib.Path, template: TreeT) -> TreeT: ...
 def read(path: pathlib.Path, template: PyTree = None) -> PyTree:
-    """Reads a tree that `write` wrote, after checking every byte of it.
+    """Reads a tree that `write` wrote, after verifying all checksums.
 
     Args:
       path: the folder.
-      template: a tree of the same structure, arrays or their shapes, which come to lie where it
-        says, or else on the default device; without it nested dicts of arrays are returned.
+      template: a tree of the same structure, of arrays or their shapes. Arrays are placed as in the
+        template, or on the default device if it doesn't say where. None: nested dicts of arrays
+        are returned.
 
     Raises:
-      StructureError: it holds other arrays than the template.
+      StructureError: the arrays aren't those of the template.
       UserError: it is damaged, or larger than `MAX_SIZE` without template.
     """
-    # Before Orbax looks at it, so that the message names the file that is damaged.
+    # Before Orbax reads anything, so that the message names the damaged file.
     manifest = _manifest(path)
     _check_files(path, manifest["files"])
     if template is None:
@@ -176,10 +177,10 @@ def read(path: pathlib.Path, template: PyTree = None) -> PyTree:
 
 
 def read_file(path: pathlib.Path, name: str) -> str:
-    """Reads a text file that `write` put beside the arrays, after checking it.
+    """Reads a text file that `write` put beside the arrays, after verifying its checksum.
 
     Raises:
-      UserError: it isn't there or damaged.
+      UserError: it doesn't exist, or is damaged.
     """
     files = _manifest(path)["files"]
     if name not in files:
@@ -189,12 +190,12 @@ def read_file(path: pathlib.Path, name: str) -> str:
 
 
 def is_complete(path: pathlib.Path) -> bool:
-    """Returns whether a folder is something that `write` wrote."""
+    """Returns whether `write` wrote this folder."""
     return (path / _MANIFEST).is_file()
 
 
 def describe(tree: PyTree) -> dict[str, str]:
-    """Returns type and shape of every leaf of a tree, by its path.
+    """Returns type and shape of every leaf of a tree, by the leaf's path.
 
     >>> describe({"actor": {"bias": np.zeros(3, np.float32)}})
     {'actor/bias': 'float32[3]'}
@@ -204,26 +205,27 @@ def describe(tree: PyTree) -> dict[str, str]:
 
 
 def _kind(leaf: jax.typing.ArrayLike | jax.ShapeDtypeStruct) -> str:
-    # Typed keys too: `np.asarray` would refuse them.
+    """Returns type and shape, such as "float32[3]"."""
+    # JAX arrays aren't converted, since typed keys can't be.
     is_array = isinstance(leaf, jax.Array | jax.ShapeDtypeStruct | np.ndarray)
     array = leaf if is_array else np.asarray(leaf)
     return f"{array.dtype}[{','.join(map(str, array.shape))}]"
 
 
 def _steps(folder: pathlib.Path) -> list[int]:
-    """Steps of the complete checkpoints, ascending."""
+    """Returns the steps of the complete checkpoints, ascending."""
     return sorted(int(path.name) for path in folder.glob("[0-9]*") if path.name.isdecimal())
 
 
 def _remove(path: pathlib.Path) -> None:
-    """Removes a checkpoint such that a kill on the way leaves no half of it under its name."""
+    """Removes a checkpoint; one half removed by a killed process has no valid name any more."""
     hidden = path.parent / f"{_HIDDEN}removed-{path.name}"
     path.rename(hidden)
     shutil.rmtree(hidden)
 
 
 def _clean(folder: pathlib.Path) -> None:
-    """Removes what a killed save or removal left."""
+    """Removes the leftovers of killed saves and removals."""
     for leftover in folder.glob(f"{_HIDDEN}*"):
         writing.discard(leftover)
 
@@ -240,14 +242,18 @@ def _checksum(path: pathlib.Path) -> str:
 
 
 def _manifest(path: pathlib.Path) -> dict[str, Any]:  # JSON
-    """Reads what a folder should hold."""
+    """Reads a folder's manifest.
+
+    Raises:
+      UserError: it is missing, damaged, or of another format.
+    """
     if not is_complete(path):
         raise base.UserError(f"{path} is no checkpoint: it has no {_MANIFEST}")
 
     try:
         manifest = reading.read_json(path / _MANIFEST)
         version = manifest["format"]
-        # A manifest that was cut or edited may still be JSON.
+        # A truncated or edited manifest may still be valid JSON.
         texts = [*manifest["files"].items(), *manifest["arrays"].items()]
         is_sound = all(isinstance(text, str) for pair in texts for text in pair)
     except (base.UserError, KeyError, TypeError, AttributeError):
@@ -261,11 +267,12 @@ def _manifest(path: pathlib.Path) -> dict[str, Any]:  # JSON
 
 
 def _check_files(path: pathlib.Path, files: dict[str, str]) -> None:
+    """Checks that a folder holds exactly the files of its manifest."""
     there = _files(path)
     for name, expected in files.items():
         _check_file(path, name, expected, there)
 
-    # A foreign file among the arrays could be read by Orbax as one of them.
+    # Orbax might read a foreign file among the arrays as one of them.
     extra = sorted(there.keys() - files.keys() - {_MANIFEST})
     if extra:
         raise base.UserError(f"{path} is damaged: {extra[0]} is not in {_MANIFEST}")
@@ -274,7 +281,9 @@ def _check_files(path: pathlib.Path, files: dict[str, str]) -> None:
 def _check_file(
     path: pathlib.Path, name: str, expected: str, there: Mapping[str, pathlib.Path]
 ) -> None:
-    if name not in there:  # nor is what lies elsewhere, which a manifest could name as well
+    """Checks one file against its checksum; `there` lists the folder's files."""
+    # Looked up in the list, since a hostile manifest could name files outside of the folder.
+    if name not in there:
         raise base.UserError(f"{path} is damaged: {name} is missing")
     checksum = _checksum(there[name])
     if checksum != expected:
@@ -287,18 +296,19 @@ def check_same(path: pathlib.Path, tree: PyTree, expected: PyTree) -> None:
     """Checks that a tree read from a folder has the structure, shapes and types of another one.
 
     Args:
-      path: the folder.
-      tree: what was read there.
-      expected: a tree such as is needed, arrays or their shapes.
+      path: the folder, for the message.
+      tree: what was read from it.
+      expected: the other tree, of arrays or their shapes.
 
     Raises:
-      StructureError: it is another one.
+      StructureError: they differ.
     """
     _check_kinds(path, describe(tree), describe(expected))
 
 
 def _check_kinds(path: pathlib.Path, kinds: dict[str, str], expected: dict[str, str]) -> None:
-    # In this order, what is missing is named before what is too much.
+    """Checks that two results of `describe` are equal."""
+    # Expected leaves first, so that a missing one is named before a superfluous one.
     for name in [*expected, *kinds]:
         kind, wanted = kinds.get(name, "nothing"), expected.get(name, "nothing")
         if kind != wanted:
@@ -308,8 +318,8 @@ def _check_kinds(path: pathlib.Path, kinds: dict[str, str], expected: dict[str, 
 
 
 def _nested(arrays: dict[str, str], path: pathlib.Path) -> PyTree:
-    """Builds nested dicts of abstract arrays from a manifest."""
-    tree: dict[str, Any] = {}  # Dicts in dicts, as deep as files may be nested.
+    """Builds nested dicts of abstract arrays from a manifest's list of arrays."""
+    tree: dict[str, Any] = {}  # dicts of dicts, at most `reading.MAX_DEPTH` deep
     for name, kind in arrays.items():
         *parents, last = name.split("/")
         try:
@@ -317,7 +327,7 @@ def _nested(arrays: dict[str, str], path: pathlib.Path) -> PyTree:
             for parent in parents[: reading.MAX_DEPTH]:
                 node = node.setdefault(parent, {})
             node[last] = _abstract(kind)
-        except TypeError:  # typed random keys: only states of learners hold some
+        except TypeError:  # a typed random key, which only learners' states have
             raise base.UserError(
                 f"{path} holds a learner's state, not parameters: {name:.80} is {kind:.80}"
             ) from None
@@ -329,11 +339,11 @@ def _nested(arrays: dict[str, str], path: pathlib.Path) -> PyTree:
 
 
 def _abstract(kind: str) -> jax.ShapeDtypeStruct:
-    """Undoes `_kind`.
+    """Inverse of `_kind`.
 
     Raises:
       TypeError: NumPy has no such type.
-      ValueError: it is no shape.
+      ValueError: the shape is malformed.
     """
     dtype, _, shape = kind.removesuffix("]").partition("[")
     sizes = tuple(int(size) for size in shape.split(",") if size)
@@ -343,7 +353,7 @@ def _abstract(kind: str) -> jax.ShapeDtypeStruct:
 
 
 def _check_size(tree: PyTree, path: pathlib.Path) -> None:
-    """Checks that arrays that a manifest announces aren't too large."""
+    """Checks that a manifest's arrays have at most `MAX_SIZE` bytes together."""
     size = sum(math.prod(leaf.shape) * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
     if size > MAX_SIZE:
         raise base.UserError(f"{path} has arrays of {size} bytes, at most {MAX_SIZE}")

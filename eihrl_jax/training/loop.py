@@ -1,7 +1,7 @@
-"""The one training loop: resume, advance, evaluate, log, checkpoint, and the policy at the end.
+"""The training loop of all runs: resume, advance, evaluate, log, checkpoint, and save the policy.
 
-Ctrl-C ends a run with a checkpoint, and checkpoints are also written by the clock: whatever the
-options say, little is lost.
+Ctrl-C ends a run with a checkpoint. Checkpoints are also written at intervals of time, so that a
+killed run loses little whatever its options are.
 
 What is trained is a `Job`: the low level, the high level and the baselines each have one.
 """
@@ -28,46 +28,46 @@ from eihrl_jax.runs import sources as sources_lib
 StateT = TypeVar("StateT")
 
 Metrics = Mapping[str, Array]
-"""What compiled training measures, see `Job.row`."""
+"""Metrics of compiled training, on the device; `Job.row` converts them."""
 
 Advance = Callable[[StateT], tuple[StateT, Metrics]]
-"""Trains for `Plan.log_every` steps; consumes the state."""
+"""Trains for `Plan.log_every` steps; the given state is donated, so it can't be used again."""
 
 Evaluate = Callable[[StateT, int], dict[str, float]]
-"""Evaluates a state that has done so many steps; its metrics' names have their prefix already."""
+"""Evaluates the state after so many steps; returns metrics by their full names."""
 
 Watch = Callable[[pathlib.Path], object]
-"""Called with the run folder after each checkpoint, by the first process, to draw what is new."""
+"""Called with the run folder after each checkpoint, in the first process, to update pictures."""
 
 SECONDS_BETWEEN_SAVES = 20.0
-"""Checkpoints are no rarer than this, unless saving would take more than `_SAVING_SHARE`."""
+"""Most seconds between checkpoints, unless saving would then take more than `_SAVING_SHARE`."""
 
 _MAY_ALWAYS_CHANGE = ("evaluate_every", "checkpoint_every")
-"""Options that may differ when a run goes on: what is trained depends on none of them."""
+"""Options that may differ when a run is resumed, because they don't change what is trained."""
 
 _PIECES_TIMED = 3
-"""Compiled pieces of training after which it is told how long all will take."""
+"""Calls of compiled training after which the remaining time is estimated and printed."""
 
 _SAVING_SHARE = 0.05  # of a run's time
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a run trains and when it does what, all in the steps that its job counts in.
+    """A run's length and intervals, in the steps that its job counts.
 
     Attributes:
-      kind: what the policy is of.
-      title: what is trained, in a few words.
-      num_steps: length of the run, which ends with the first row that reaches it.
-      log_every: steps of one compiled piece of training, which makes one row of metrics.
+      kind: of the policy.
+      title: of the progress bar.
+      num_steps: length of the run, which ends with the first row of metrics that reaches it.
+      log_every: steps of one call of compiled training, which makes one row of metrics.
       evaluate_every: steps between evaluations, a multiple of `log_every`.
       checkpoint_every: steps between checkpoints, a multiple of `log_every`.
-      length_option: the option by which `num_steps` is known to the user.
-      may_change: options that may differ when a run goes on, besides the intervals of evaluations
-        and checkpoints.
-      shown: metrics that are shown while the run goes on, with the names under which they are.
-      unit: what is counted then.
-      units_per_step: how many of it a step has.
+      length_option: the user's name for `num_steps`.
+      may_change: options that may differ when a run is resumed, besides the intervals of
+        evaluations and checkpoints.
+      shown: metrics in the progress bar, each with a short name.
+      unit: what the progress bar counts.
+      units_per_step: units of one step.
     """
 
     kind: policies.Kind
@@ -85,54 +85,54 @@ class Plan:
 
 @runtime_checkable
 class Job(Protocol[StateT]):
-    """What is trained; its state holds all that a run needs to go on, random keys included."""
+    """What is trained. Its state holds everything needed to resume a run, random keys included."""
 
     @property
     def plan(self) -> Plan:
-        """What the run trains, and when it does what."""
+        """The run's length and intervals."""
         ...
 
     @property
     def sources(self) -> sources_lib.Sources:
-        """Files by which some options name what the run is made of, by option."""
+        """Files that options of the run name, by option, such as a maze's or a robot's."""
         return {}
 
     def init(self) -> StateT:
-        """Returns the first state of a run, the same for every start of it."""
+        """Returns the initial state, the same at every start of the run."""
         ...
 
     def compile_training(self, state: StateT) -> Advance[StateT]:
-        """Compiles training of states that are shaped and placed as this one."""
+        """Compiles training for states of this one's shapes and placement."""
         ...
 
     def compile_evaluation(self, state: StateT) -> Evaluate[StateT]:
-        """Compiles evaluation of states that are shaped and placed as this one."""
+        """Compiles evaluation for states of this one's shapes and placement."""
         ...
 
     def begin(self, state: StateT, progress: progress_lib.Progress) -> StateT:
-        """Does what precedes the first step of a new run, if anything does.
+        """Prepares the first step of a new run, such as by filling a replay.
 
-        A run that goes on has it behind it.
+        Not called when a run is resumed after its first checkpoint.
         """
         return state
 
     def row(self, state: StateT, metrics: Metrics) -> dict[str, float]:
-        """Makes a row of numbers of what `Advance` returned."""
+        """Converts what `Advance` returned to a row of numbers."""
         ...
 
     def policy(self, state: StateT) -> tuple[base.Params, policies.Meta]:
-        """Returns the policy's parameters, and the JSON values that must stand beside them."""
+        """Returns the policy's parameters, and the JSON values from which it can be rebuilt."""
         ...
 
     def finish(self, path: pathlib.Path, state: StateT) -> policies.Meta:
         """Ends a run.
 
         Args:
-          path: the run folder, for what the run leaves besides its policy.
+          path: the run folder, for files besides the policy.
           state: the last one.
 
         Returns:
-          What else must stand beside the final policy's parameters.
+          Further JSON values for the final policy.
         """
         del path, state
         return {}
@@ -140,34 +140,35 @@ class Job(Protocol[StateT]):
 
 @runtime_checkable
 class Options(Protocol):
-    """What the config of every run has."""
+    """Options that every run has."""
 
     @property
     def run(self) -> pathlib.Path:
-        """The run folder, made by the run."""
+        """The run folder, which the run creates."""
         ...
 
     @property
     def resume(self) -> bool:
-        """Whether the run that the folder holds goes on."""
+        """Whether to resume the run in the folder."""
         ...
 
 
 def run(job: Job[StateT], config: Options, watch: Watch | None = None) -> float:
-    """Trains in a run folder from the start, or from where the run was stopped, to the end.
+    """Trains in a run folder to the end, from the start or from the last checkpoint.
 
-    Where several processes train together all must call this; the first one writes.
+    Where several processes train together, all must call this; the first one writes.
 
     Args:
       job: what is trained.
       config: the run's options, a dataclass.
-      watch: draws what is new.
+      watch: updates pictures.
 
     Returns:
-      Seconds of training past compilation, evaluations and checkpoints included.
+      Seconds of training, with evaluations and checkpoints but without compilation.
 
     Raises:
-      base.UserError: the run folder is not as it should be.
+      base.UserError: the run folder exists although a new run is asked for, or holds no run to
+        resume, or one with other options or damaged files.
       base.Stopped: Ctrl-C was pressed; its text says what was kept.
     """
     plan = job.plan
@@ -179,7 +180,7 @@ def run(job: Job[StateT], config: Options, watch: Watch | None = None) -> float:
         may_change=(*plan.may_change, *_MAY_ALWAYS_CHANGE),
         sources=job.sources,
     ) as folder:
-        # Resume: the last checkpoint takes the place of the first state, later rows are dropped.
+        # Resume: the last checkpoint replaces the initial state; rows logged after it are dropped.
         state = job.init()
         resumed = folder.restore(state)
         done, state = (0, state) if resumed is None else resumed
@@ -200,7 +201,7 @@ def run(job: Job[StateT], config: Options, watch: Watch | None = None) -> float:
             try:
                 state = _train(job, state, done, folder, progress, watch)
                 seconds = progress.seconds
-                # Also where nothing was left to train: a kill may have come before the policy.
+                # Also where nothing was left to train: a run may have been killed just before.
                 _finish(job, state, folder)
             except KeyboardInterrupt:
                 raise base.Stopped(_kept(plan, folder.path)) from None
@@ -215,10 +216,10 @@ def _train(
     progress: progress_lib.Progress,
     watch: Watch | None,
 ) -> StateT:
-    """Trains from the step `done` to the end, and returns the last state."""
+    """Trains from step `done` to the end, and returns the last state."""
     plan, clock = job.plan, _SaveClock()
     if done >= plan.num_steps:
-        return state  # Nothing is compiled for a run that only lacks its policy.
+        return state  # Compile nothing for a run that lacks only its policy.
 
     # Both before the first step, so that an evaluation that can't be compiled costs no training.
     with progress.compiling("training"):
@@ -245,7 +246,7 @@ def _train(
             folder.log(done, row)
             progress.update(done * plan.units_per_step, _shown(plan, row))
 
-            # After the row of the same step, which a run that goes on doesn't write again.
+            # After the row of the same step, which a resumed run doesn't log again.
             is_stopped, is_due = _agreed(stop.is_asked, clock.is_due())
             if is_last or is_stopped or is_due or done % plan.checkpoint_every == 0:
                 with clock.saving():
@@ -262,7 +263,7 @@ def _keep(
     folder: run_folder.RunFolder,
     watch: Watch | None,
 ) -> None:
-    """Writes a checkpoint, the policy that it holds, and whatever `watch` draws."""
+    """Writes a checkpoint and its policy, and calls `watch`."""
     folder.save(done, state)
     _save_policy(folder.path / policies.LATEST, job.plan.kind, *job.policy(state))
     if watch is not None and jax.process_index() == 0:
@@ -270,7 +271,7 @@ def _keep(
 
 
 def _finish(job: Job[StateT], state: StateT, folder: run_folder.RunFolder) -> None:
-    """Writes the policy, last of all: a run that has one is complete."""
+    """Writes the final policy, as the last step: a run that has one is complete."""
     params, meta = job.policy(state)
     meta |= job.finish(folder.path, state) | {"versions": versions.describe()}
     _save_policy(folder.path / policies.FOLDER, job.plan.kind, params, meta)
@@ -281,20 +282,20 @@ def _finish(job: Job[StateT], state: StateT, folder: run_folder.RunFolder) -> No
 def _save_policy(
     path: pathlib.Path, kind: policies.Kind, params: base.Params, meta: policies.Meta
 ) -> None:
-    """Writes a policy in place of an earlier one of the same run."""
+    """Writes a policy, replacing an earlier one of the same run."""
     policies.save(path, kind=kind, params=params, meta=meta, overwrite=True)
 
 
 class _SaveClock:
-    """Tells when a checkpoint is due by the time that has passed."""
+    """Tells when a checkpoint is due because of the time that has passed."""
 
     def __init__(self) -> None:
-        """Begins with what is stored already."""
+        """Starts as if a checkpoint had just been written."""
         self._saved = self._looked = time.monotonic()
         self._piece = self._cost = 0.0
 
     def is_due(self) -> bool:
-        """Returns whether another piece as long as the last one would be too late for the next."""
+        """Returns whether the time limit would pass during another piece as long as the last."""
         now = time.monotonic()
         self._looked, self._piece = now, now - self._looked
         limit = max(SECONDS_BETWEEN_SAVES, self._cost / _SAVING_SHARE)
@@ -302,7 +303,7 @@ class _SaveClock:
 
     @contextlib.contextmanager
     def saving(self) -> Iterator[None]:
-        """Notes when the block has saved, and how long it took."""
+        """Measures how long saving in the `with` block takes, and restarts the clock."""
         start = time.monotonic()
         yield
         self._saved = self._looked = time.monotonic()
@@ -310,14 +311,14 @@ class _SaveClock:
 
 
 def _agreed(*flags: bool) -> list[bool]:
-    """Returns flags that are the same in all processes of a run: set where one has them set."""
+    """Returns, in all processes of a run alike, which flags are set in any of them."""
     if jax.process_count() == 1:
         return list(flags)
     return multihost_utils.process_allgather(np.array(flags)).any(axis=0).tolist()
 
 
 def _kept(plan: Plan, path: pathlib.Path) -> str:
-    """Says what a run that is stopped leaves."""
+    """Says up to which step a stopped run is kept."""
     step = checkpoint.last_step(path / run_folder.CHECKPOINTS)
     return f"{path} keeps " + ("nothing yet" if step is None else _share(plan, step))
 
@@ -329,18 +330,18 @@ def _share(plan: Plan, done: int) -> str:
 
 
 def _check_length(plan: Plan, config: Options) -> None:
-    """Refuses to end a run before the point that it has reached."""
+    """Raises if a resumed run is to be shorter than it already is."""
     if not config.resume or plan.length_option not in plan.may_change:
         return
     done = checkpoint.last_step(config.run / run_folder.CHECKPOINTS) or 0
-    # The last row may have gone beyond the end by less than its own length.
+    # A finished run may exceed its length by less than one row of metrics.
     if done - plan.log_every >= plan.num_steps:
         length = f"{plan.length_option} = {plan.num_steps}"
-        raise base.UserError(f"{length} is less than {config.run} has walked: {done}")
+        raise base.UserError(f"{length} is less than {config.run} has trained: {done}")
 
 
 def _shown(plan: Plan, row: Mapping[str, float]) -> dict[str, float]:
-    """Picks what is shown of a row; what it has no number for stays as it was."""
+    """Returns the progress bar's metrics of a row; it keeps old values of those not finite."""
     return {
         short: row[name]
         for name, short in plan.shown.items()

@@ -1,4 +1,4 @@
-"""What the low level's training computes: it acts, stores, learns, measures (paper, Sec. 3.2)."""
+"""The low level's training: act, store, learn and measure (paper, Sec. 3.2)."""
 
 import dataclasses
 import functools
@@ -22,14 +22,14 @@ from eihrl_jax.training import parallel
 
 
 class LowState(struct.PyTreeNode):
-    """All that a run needs to go on. N: number of environments.
+    """Everything needed to resume a run. N: number of environments.
 
     Attributes:
       learner: networks and optimisers.
       replay: stored steps.
-      envs: environments with leading axis N.
-      key: of what comes next.
-      iteration: int32, vector steps done.
+      envs: states of the environments, leading axis N.
+      key: for all further draws.
+      iteration: int32, iterations done, each a step in every environment.
     """
 
     learner: droq.DroqState
@@ -40,7 +40,7 @@ class LowState(struct.PyTreeNode):
 
 
 class LowTrainer:
-    """The functions of one run; holds no state that changes."""
+    """The compiled functions of one run; has no mutable state."""
 
     def __init__(self, config: low_config.LowConfig):
         """Builds physics, environments and learner.
@@ -59,20 +59,20 @@ class LowTrainer:
             engine.model, self.robot, full_range=config.low_input.full_range
         )
 
-        # Statistics are always taken on open floor, whatever the robot learned among.
+        # Statistics are always measured on open floor, also if training is in rooms.
         on_open_floor = dataclasses.replace(config, num_rooms=0, anchored=False)
         self._env, self._test_env = (
             wrappers.AutoReset(locomotion.Locomotion.of_config(engine, each))
             for each in (config, on_open_floor)
         )
 
-        # Sizes of the networks, without building a single robot.
+        # Sizes of the networks, without computing anything.
         obs = jax.eval_shape(self._env.reset, jax.random.key(0)).obs
         self.num_features = jax.eval_shape(self._features, obs).shape[0]
         self._learner = droq.Droq(self.num_features, self._num_actions, config.droq)
 
-        # Robots and the replay of their steps are spread over devices; XLA spreads what the learner
-        # computes of batches likewise, and takes the means of gradients.
+        # Robots and their stored steps are sharded over devices. From that XLA derives how batches
+        # are sharded, and averages gradients.
         num_devices = 1 if jax.default_backend() == "cpu" else None
         self._mesh = parallel.make_mesh(
             config.num_devices or num_devices,
@@ -80,13 +80,13 @@ class LowTrainer:
             batch_size=config.droq.batch_size,
         )
 
-        # `init` is one object, of which JAX keeps what it has traced.
+        # Bound once: JAX caches traces by function object, and `self.init` is a new one each time.
         init = self.init
         self.shapes = jax.eval_shape(init, jax.random.key(0))
         self._spread = spread = self._shardings()
         alike = parallel.sharding(self._mesh)
 
-        # Each is compiled once for all runs that the trainer is used for.
+        # Each is compiled once, however many runs use the trainer.
         self.jit_init = jax.jit(init, out_shardings=spread)
         self.jit_warm_up = jax.jit(
             self.warm_up,
@@ -103,13 +103,13 @@ class LowTrainer:
         self._jit_walk = jax.jit(self._walk)
 
     def init(self, key: Key[Array, ""]) -> LowState:
-        """Returns the state of a run that is about to start, nothing being stored yet."""
+        """Returns the initial state of a run, with an empty replay."""
         key, learner_key, env_key = jax.random.split(key, 3)
         reset = parallel.over_devices(jax.vmap(self._env.reset), self._mesh)
         envs = reset(jax.random.split(env_key, self.config.num_envs))
         ctrl = jnp.zeros((self.config.num_envs, self._num_actions))
 
-        # The replay takes its rows' shapes from a step that is never made.
+        # The replay's row shapes come from a step that is only traced.
         stored = jax.eval_shape(self._step, envs, ctrl)[1]
         return LowState(
             learner=self._learner.init(learner_key),
@@ -122,7 +122,7 @@ class LowTrainer:
         )
 
     def warm_up(self, state: LowState, num_iterations: int) -> LowState:
-        """Stores steps whose controls are random, `num_iterations` in each environment."""
+        """Stores `num_iterations` steps per environment, with controls uniform in [-1, 1]."""
 
         def body(state: LowState, _: None) -> tuple[LowState, None]:
             key, ctrl_key = jax.random.split(state.key)
@@ -138,7 +138,7 @@ class LowTrainer:
         """Runs `log_every` iterations: each is one step in every environment, then updates.
 
         Returns:
-          The new state, and the means of the learner's and the environments' metrics.
+          The new state, and the metrics of learner and subgoals, averaged over the iterations.
         """
         length = self.config.log_every
         state, (learned, stepped) = jax.lax.scan(self._iterate, state, length=length)
@@ -147,12 +147,12 @@ class LowTrainer:
     def sample(
         self, actor_params: base.Params, obs: low_obs.LowObs, key: Key[Array, ""]
     ) -> Float[Array, " nu"]:
-        """Draws the controls of one robot."""
+        """Samples the controls of one robot, in [-1, 1]."""
         action = self._learner.sample(actor_params, self._features(obs), key)
         return low_obs.ctrl_from_action(action, obs, self.robot, self.config.low_input)
 
     def mode(self, actor_params: base.Params, obs: low_obs.LowObs) -> Float[Array, " nu"]:
-        """Returns the controls of one robot without exploration."""
+        """Returns the deterministic controls of one robot, in [-1, 1]."""
         action = self._learner.mode(actor_params, self._features(obs))
         return low_obs.ctrl_from_action(action, obs, self.robot, self.config.low_input)
 
@@ -176,14 +176,17 @@ class LowTrainer:
         num_subgoals: int,
         progress: progress_lib.Progress,
     ) -> tuple[Float[np.ndarray, "T N nq"], dict[str, Float[np.ndarray, "T N"]]]:
-        """Walks as `measure` does, and returns qpos and metrics of every step, on the host.
+        """Runs the same episodes as `measure`, and returns qpos and metrics of every step.
 
         Args:
           actor_params: of the policy.
-          key: of the starts and directions.
-          num_envs: robots, N.
-          num_subgoals: that each follows.
-          progress: is told the subgoals that all have followed.
+          key: for starts and directions.
+          num_envs: number of robots, N.
+          num_subgoals: followed by each.
+          progress: is told the number of subgoals that are done.
+
+        Returns:
+          Both on the host; T is `num_subgoals` times the steps per subgoal.
         """
         envs = self._jit_reset(self._test_keys(key, num_envs))
         parts = []
@@ -195,12 +198,15 @@ class LowTrainer:
         return qpos, metrics
 
     def postures(self, qpos: Float[np.ndarray, "T N nq"]) -> Float[np.ndarray, "K nq"]:
-        """Picks `num_postures` postures of the walking robot, x and y zeroed.
+        """Picks `num_postures` postures, spread evenly over time and robots (paper, Sec. 3.2).
 
-        They are spread evenly over environments and time of deterministic walking with random
-        subgoals, the first subgoal left out (paper, Sec. 3.2).
+        Args:
+          qpos: what `roll` returned.
+
+        Returns:
+          Positions as in MuJoCo's qpos with x = y = 0; none from the first subgoal.
         """
-        # The first subgoal still shows the reset's noise, not the gait.
+        # During the first subgoal the robot still starts from the reset's noise.
         qpos = qpos[self.robot.steps_per_subgoal :].reshape(-1, qpos.shape[-1])
         index = np.linspace(0, len(qpos) - 1, self.config.num_postures).astype(np.int32)
         picked = qpos[index]
@@ -208,7 +214,7 @@ class LowTrainer:
         return picked
 
     def meta(self) -> dict[str, Any]:
-        """Returns what must stand beside the parameters for them to be used."""
+        """Returns the JSON values from which the policy can be rebuilt with its parameters."""
         return {
             "robot": self.robot.name,
             "fingerprint": self.fingerprint,
@@ -219,11 +225,11 @@ class LowTrainer:
         }
 
     def place(self, state: LowState) -> LowState:
-        """Returns a state whose robots and stored steps are spread over the run's devices."""
+        """Moves a state to the run's devices, over which robots and stored steps are sharded."""
         return jax.device_put(state, self._spread)
 
     def _shardings(self) -> LowState:
-        """Returns where the parts of a state are: each robot, and what it stored, on one device."""
+        """Returns the shardings of a state: each robot and its stored steps are on one device."""
         alike, by_robot, by_stream = (parallel.sharding(self._mesh, axis) for axis in (None, 0, 1))
         state = jax.tree.map(lambda _: alike, self.shapes)
         return state.replace(
@@ -247,7 +253,7 @@ class LowTrainer:
         envs, stored = self._step(state.envs, ctrl)
         replay = replay_lib.add(state.replay, stored)
 
-        # Learn, on batches that are all drawn before the first update: see `optimisation.loop`.
+        # Learn. All batches are drawn before the first update, see `optimisation.loop`.
         batch_key, update_key = jax.random.split(learn_key)
         batches = self._draw(replay, self.config.updates_per_iteration, batch_key)
         learner, learned = optimisation.loop(
@@ -262,7 +268,7 @@ class LowTrainer:
     def _step(
         self, envs: base.EnvState, ctrl: Float[Array, "N nu"]
     ) -> tuple[base.EnvState, experience.Experience]:
-        """Steps every environment, and returns what is to be stored of it."""
+        """Steps every environment; also returns the steps to be stored."""
 
         def step(
             envs: base.EnvState, ctrl: Float[Array, "n nu"]
@@ -276,8 +282,8 @@ class LowTrainer:
     def _draw(
         self, replay: replay_lib.Replay, num_batches: int, key: Key[Array, ""]
     ) -> base.Transition:
-        """Draws batches with leading axes [num_batches, B], relabelled if the run says so."""
-        # The last two are split off even where nothing is relabelled, so rows stay the same.
+        """Draws batches with leading axes [num_batches, B], relabelled if so configured."""
+        # All three keys are split off even without relabelling, so that rows stay the same.
         row_key, direction_key, share_key = jax.random.split(key, 3)
         shape = (num_batches, self.config.droq.batch_size)
         rows = replay_lib.sample(replay, shape, row_key)
@@ -285,10 +291,10 @@ class LowTrainer:
 
         if self.config.relabel != "never":
             direction = jax.random.randint(direction_key, shape, 0, base.NUM_DIRECTIONS)
-            is_seen_anew = jax.random.bernoulli(share_key, self.config.relabel_share, shape)
-            rows = jax.vmap(jax.vmap(self._see_anew))(rows, direction, is_seen_anew)
+            is_relabelled = jax.random.bernoulli(share_key, self.config.relabel_share, shape)
+            rows = jax.vmap(jax.vmap(self._relabel))(rows, direction, is_relabelled)
 
-        # The reward is computed now, not when the step is stored: it depends on the direction.
+        # Rewards are computed here instead of being stored, because they depend on the direction.
         transition = functools.partial(
             experience.transition,
             robot=self.robot,
@@ -298,28 +304,28 @@ class LowTrainer:
         )
         return jax.vmap(jax.vmap(transition))(rows)
 
-    def _see_anew(
-        self, row: experience.Experience, direction: Int[Array, ""], is_seen_anew: Bool[Array, ""]
+    def _relabel(
+        self, row: experience.Experience, direction: Int[Array, ""], is_relabelled: Bool[Array, ""]
     ) -> experience.Experience:
-        """Returns a stored step, or what it would be if `direction` had been asked for."""
+        """Returns a stored step as it is, or as it would have been with another subgoal."""
         if self.config.relabel == "direction":
-            anew = experience.relabel(row, direction)
+            relabelled = experience.relabel(row, direction)
         else:
-            anew = experience.restart(row, direction, self.robot)
-        return tree.where(is_seen_anew, anew, row)
+            relabelled = experience.restart(row, direction, self.robot)
+        return tree.where(is_relabelled, relabelled, row)
 
     def _test_keys(self, key: Key[Array, ""], num_envs: int) -> Key[Array, " N"]:
         """Returns the keys of the robots that are measured."""
-        env_key, _ = jax.random.split(key)  # The second half is free; splitting keeps the draws.
+        env_key, _ = jax.random.split(key)  # The split keeps draws equal to earlier versions'.
         return jax.random.split(env_key, num_envs)
 
     def _walk(
         self, envs: base.EnvState, actor_params: base.Params, num_steps: int | None = None
     ) -> tuple[base.EnvState, tuple[Float[Array, "T N nq"], dict[str, Float[Array, "T N"]]]]:
-        """Walks deterministically; returns the robots, and qpos and metrics of every step.
+        """Runs the deterministic policy; returns states, and qpos and metrics of every step.
 
         Args:
-          envs: robots on open floor.
+          envs: states of robots on open floor.
           actor_params: of the policy.
           num_steps: control steps; None: those of a subgoal.
         """

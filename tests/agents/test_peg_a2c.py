@@ -143,7 +143,7 @@ def collected():
 
 def test_decisions_after_the_end_of_an_episode_do_not_count(collected):
     _, _, batch, counts = collected
-    kind = batch.evidence[0, :, : len(Kind)].argmax(-1)
+    kind = batch.encoding[0, :, : len(Kind)].argmax(-1)
     is_long = np.isin(kind, probe_envs.TWO_STEPS)
     np.testing.assert_allclose(batch.weight[0], np.where(is_long, 0.5, 1.0))
     np.testing.assert_allclose(batch.weight[1], np.where(is_long, 0.5, 0.0))
@@ -167,7 +167,7 @@ def test_a_time_limit_is_an_end_where_nobody_looks_beyond_it():
         )[1]
 
     batch = collect()
-    is_cut = batch.evidence[0, :, Kind.CUT] == 1.0
+    is_cut = batch.encoding[0, :, Kind.CUT] == 1.0
     np.testing.assert_allclose(batch.return_[:, is_cut].T, [[1.0 + GAMMA, 1.0]] * int(is_cut.sum()))
 
 
@@ -176,7 +176,7 @@ def test_gradient_follows_algorithm_1(collected):
 
     def looped(params):
         logits, value = jax.vmap(jax.vmap(agent.network.apply, (None, 0)), (None, 0))(
-            params, batch.evidence
+            params, batch.encoding
         )
         total = 0.0
         for worker in range(4):

@@ -150,7 +150,7 @@ def test_resuming_changes_nothing(finished, arena, tmp_path):
     baselines.train_in(arena, dataclasses.replace(finished, run=run, num_steps=half))
     baselines.train_in(arena, dataclasses.replace(finished, run=run, resume=True))
     written = (run / "config.json").read_text()
-    with pytest.raises(base.UserError, match=r"num_steps = 1 is less than .* has walked: \d+"):
+    with pytest.raises(base.UserError, match=r"num_steps = 1 is less than .* has trained: \d+"):
         baselines.train(dataclasses.replace(finished, run=run, resume=True, num_steps=1))
     assert (run / "config.json").read_text() == written
     template = jax.eval_shape(arena.baseline.init, jax.random.key(0))

@@ -69,7 +69,7 @@ def test_an_unknown_command_gets_one_line_with_a_hint(word, hint, capsys):
         commands.main([word, "--run", "somewhere"])
     assert end.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: {word!r} is no command")
+    assert line.startswith(f"error: {word!r} is not a command")
     assert hint in line
 
 

@@ -233,7 +233,7 @@ def test_a_longer_run_goes_on_from_the_end_of_the_shorter(whole, tmp_path):
 def test_a_run_is_not_made_shorter_than_it_is(whole, tmp_path):
     run = shutil.copytree(whole[0], tmp_path / "run")
     before = (run / "config.json").read_text()
-    with pytest.raises(base.UserError, match=r"length = 10 is less than .*run has walked: 12"):
+    with pytest.raises(base.UserError, match=r"length = 10 is less than .*run has trained: 12"):
         loop.run(Job(length=10), Options(run=run, length=10, resume=True))
     assert (run / "config.json").read_text() == before
 

@@ -1,11 +1,11 @@
-"""Occupancy from pictures, and from the maps of ROS's map_server: YAML and a picture.
+"""Reads occupancy grids from pictures, and from maps of ROS's map_server (YAML and a picture).
 
-Pixels are taken together to cells: a cell is wall where an obstacle, grown by the robot's radius,
-reaches into it, so that a robot may be anywhere in a free cell. What is outside of the free cells'
-bounding box is left away. Nothing in a file is executed, and sizes are looked at before anything is
+Pixels are grouped into cells. A cell is a wall if an obstacle, inflated by the robot's radius,
+reaches into it, so that a robot may be anywhere in a free cell. The grid is cropped to the bounding
+box of the free cells. Nothing in a file is executed, and sizes are checked before anything is
 decoded.
 
-Source: wiki.ros.org/map_server for the fields of the YAML and what darkness means.
+Source: wiki.ros.org/map_server for the YAML's fields and the meaning of brightness.
 """
 
 import dataclasses
@@ -33,12 +33,12 @@ MAX_PIXELS = 2**24
 """Most pixels of a picture."""
 
 MAX_BYTES = 8 * MAX_PIXELS
-"""Largest file of a picture."""
+"""Largest size of a picture's file."""
 
 MAX_YAML_BYTES = 2**16
 
 MAX_YAML_DEPTH = 20
-"""Most brackets that are open at once: the time that YAML takes grows with their square."""
+"""Most nested brackets: the time that YAML takes grows with their square."""
 
 FORMATS = {
     b"\x89PNG\r\n\x1a\n": "PNG",
@@ -46,7 +46,7 @@ FORMATS = {
     b"\xff\xd8\xff": "JPEG",
     b"BM": "BMP",
 }
-"""Kinds of pictures that are read, by their first bytes; PGM and PBM are PPM to Pillow."""
+"""Formats that are read, as Pillow calls them (PGM and PBM are PPM), by their first bytes."""
 
 OTHER_FORMATS = {
     b"GIF8": "GIF",
@@ -57,6 +57,7 @@ OTHER_FORMATS = {
     b"\0\0\1\0": "ICO",
     b"8BPS": "PSD",
 }
+"""Formats that are recognised, so that the error can name them, but not read."""
 
 _OPENING = (yaml.FlowSequenceStartToken, yaml.FlowMappingStartToken)
 _CLOSING = (yaml.FlowSequenceEndToken, yaml.FlowMappingEndToken)
@@ -65,11 +66,11 @@ _OCCUPIED, _FREE = 0.65, 0.196  # map_server's defaults
 
 
 class _Frame(NamedTuple):
-    """How pixels lie in the world.
+    """The pose of the picture in the world.
 
     Attributes:
-      resolution: metres per pixel; 0 where it isn't known.
-      origin: x, y in metres and yaw in radians of the lower left corner.
+      resolution: metres per pixel; 0 if unknown.
+      origin: x and y in metres and yaw in radians of the lower left corner.
     """
 
     resolution: float
@@ -77,7 +78,7 @@ class _Frame(NamedTuple):
 
 
 class _Thresholds(NamedTuple):
-    """What darkness means, see `ReadingConfig`; mode and negate as in map_server."""
+    """Thresholds of darkness, see `ReadingConfig`; raw mode and negate as in map_server."""
 
     occupied: float
     free: float
@@ -86,7 +87,16 @@ class _Thresholds(NamedTuple):
 
 
 def of_picture(data: bytes, options: reading_config.ReadingConfig, name: str) -> plan_lib.Plan:
-    """Reads a picture: what is dark is wall."""
+    """Reads a picture, in which dark pixels are obstacles.
+
+    Args:
+      data: the file's content.
+      options: thresholds and scale.
+      name: of the file, for messages.
+
+    Raises:
+      base.UserError: it isn't such a picture, or an option doesn't fit it.
+    """
     occupied = _OCCUPIED if options.occupied is None else options.occupied
     free = _FREE if options.free is None else options.free
     frame = _Frame(options.metres_per_pixel, (0.0, 0.0, 0.0))
@@ -96,11 +106,21 @@ def of_picture(data: bytes, options: reading_config.ReadingConfig, name: str) ->
 def of_ros(
     text: str, path: pathlib.Path, options: reading_config.ReadingConfig, name: str
 ) -> plan_lib.Plan:
-    """Reads a map of ROS's map_server; its picture lies where the YAML says."""
+    """Reads a map of ROS's map_server.
+
+    Args:
+      text: the YAML.
+      path: of the YAML's file, from which the path of the picture is relative.
+      options: thresholds and scale, in place of the YAML's where they are given.
+      name: of the file, for messages.
+
+    Raises:
+      base.UserError: YAML or picture are malformed, or an option doesn't fit them.
+    """
     fields = _yaml(text, name)
     image, mode = fields.get("image"), fields.get("mode", "trinary")
     if not isinstance(image, str) or not image or "\0" in image:
-        raise base.UserError(f"{name}: YAML without the name of an image is no map of map_server")
+        raise base.UserError(f"{name}: not a map of map_server: the YAML names no image")
     if mode not in ("trinary", "scale", "raw"):
         raise base.UserError(f"{name}: mode = {mode!r} must be one of trinary, scale, raw")
 
@@ -131,19 +151,19 @@ def of_ros(
 
 
 def format_of(data: bytes, name: str) -> str | None:
-    """Returns which kind of picture begins with these bytes; None: none.
+    """Returns the format of a picture by its first bytes; None if it isn't a picture.
 
     Raises:
-      base.UserError: it is a kind that isn't read.
+      base.UserError: it has a format that isn't read.
     """
     for start, kind in FORMATS.items():
-        # A text may begin with the same letters: what follows them in a picture is a blank.
+        # A text file may begin with "P1" too: in a picture a blank follows.
         if data.startswith(start) and (kind != "PPM" or data[2:3].isspace()):
             return kind
     for start, kind in OTHER_FORMATS.items():
         if data.startswith(start):
             raise base.UserError(
-                f"{name}: a picture of kind {kind}, must be one of PNG, PGM, PBM, PPM, JPEG, BMP"
+                f"{name}: a picture in format {kind}, must be PNG, PGM, PBM, PPM, JPEG or BMP"
             )
     return None
 
@@ -172,11 +192,12 @@ def _of_pixels(
     obstacle = _obstacles(_pixels(data, name), thresholds, options.unknown == "free")
     side = 1.0
     if frame.resolution:
-        # In pixels from an obstacle's edge, half a pixel before its middle; outside is wall too.
+        # Distances are between pixel centres: an obstacle's edge is half a pixel nearer. Padding
+        # makes everything outside of the picture an obstacle.
         radius = options.robot_radius / frame.resolution
         if radius:
-            far = np.asarray(ndimage.distance_transform_edt(np.pad(~obstacle, 1)))
-            obstacle = far[1:-1, 1:-1] < radius + 0.5
+            distance = np.asarray(ndimage.distance_transform_edt(np.pad(~obstacle, 1)))
+            obstacle = distance[1:-1, 1:-1] < radius + 0.5
         side = options.cell_metres / frame.resolution
         if side < 1.0:
             raise base.UserError(
@@ -185,7 +206,7 @@ def _of_pixels(
             )
     free = _cells(obstacle, side, name)
 
-    # The box of what is free, so that a room in the midst of much unknown is no larger than it is.
+    # Cropped to what is free: maps of ROS often have a small room amid a large unknown area.
     rows, columns = np.flatnonzero(free.any(1)), np.flatnonzero(free.any(0))
     if not len(rows):
         raise base.UserError(f"{name}: no free cell")
@@ -194,11 +215,12 @@ def _of_pixels(
     first = (int(1 - rows[0]), int(1 - columns[0]))
 
     def from_metres(x: float, y: float) -> tuple[float, float]:
+        """Returns row and column, in cells, of a position in metres."""
         x0, y0, yaw = frame.origin
         across, up = x - x0, y - y0
         column = math.cos(yaw) * across + math.sin(yaw) * up
         height = -math.sin(yaw) * across + math.cos(yaw) * up
-        # Whole cells are counted from below.
+        # The grid of cells begins in the lower left corner, but rows are counted from above.
         row = free.shape[0] - height / frame.resolution / side
         return row + first[0], column / frame.resolution / side + first[1]
 
@@ -207,10 +229,10 @@ def _of_pixels(
 
 
 def _pixels(data: bytes, name: str) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
-    """Decodes a picture: brightness in [0, 255], and which pixels are seen through."""
+    """Decodes a picture to brightness in [0, 255] and which pixels are transparent."""
     kind = format_of(data, name)
     if kind is None:
-        raise base.UserError(f"{name}: no picture of kind PNG, PGM, PBM, PPM, JPEG or BMP")
+        raise base.UserError(f"{name}: not a picture in format PNG, PGM, PBM, PPM, JPEG or BMP")
 
     try:
         with warnings.catch_warnings():
@@ -227,17 +249,18 @@ def _pixels(data: bytes, name: str) -> tuple[Float[np.ndarray, "H W"], Bool[np.n
         raise
     except Image.DecompressionBombError:
         raise base.UserError(f"{name}: more pixels than {MAX_PIXELS}") from None
-    except Exception as error:  # Pillow has no one kind of error for damaged files.
+    except Exception as error:  # Pillow raises errors of many types for damaged files.
         raise base.UserError(f"{name}: a damaged picture: {_one_line(error)}") from None
 
 
 def _brightness(
     picture: Image.Image,
 ) -> tuple[Float[np.ndarray, "H W"], Bool[np.ndarray, "H W"]]:
+    """Returns brightness in [0, 255], the mean over colours, and which pixels are transparent."""
     if picture.mode.startswith("I") or picture.mode == "F":  # 16 bits
         value = np.asarray(picture, np.float32) / 257.0
         return value, np.zeros(value.shape, bool)
-    # By way of RGBA, which knows what is transparent in every mode; colours count by their mean.
+    # Conversion to RGBA handles transparency in every mode.
     pixels = np.asarray(picture.convert("RGBA"))
     return pixels[..., :3].mean(-1, dtype=np.float32), pixels[..., 3] < 128
 
@@ -249,7 +272,7 @@ def _obstacles(
 ) -> Bool[np.ndarray, "H W"]:
     """Returns which pixels are obstacles."""
     value, is_clear = pixels
-    if thresholds.is_raw:  # per cent, and anything above is unknown
+    if thresholds.is_raw:  # occupancy in per cent; values above 100 are unknown
         darkness, is_clear = value / 100.0, is_clear | (value > 100.0)
     else:
         darkness = value / 255.0 if thresholds.negate else 1.0 - value / 255.0
@@ -259,7 +282,7 @@ def _obstacles(
 
 
 def _cells(obstacle: Bool[np.ndarray, "H W"], side: float, name: str) -> Bool[np.ndarray, "R C"]:
-    """Returns which cells of `side` pixels are free; they begin in the lower left corner."""
+    """Returns which cells of `side` pixels are free; the grid begins in the lower left corner."""
     height, width = obstacle.shape
     rows, columns = (max(1, math.floor(size / side + 1e-9)) for size in (height, width))
     if max(rows, columns) > parsing.MAX_SIZE:
@@ -268,7 +291,7 @@ def _cells(obstacle: Bool[np.ndarray, "H W"], side: float, name: str) -> Bool[np
             f"{parsing.MAX_SIZE}; larger cells need metres_per_pixel and cell_metres"
         )
 
-    # Sums over rectangles; a pixel that two cells share counts in both.
+    # Obstacles per cell from a summed-area table; a pixel that two cells share counts in both.
     total = np.pad(obstacle.cumsum(0, dtype=np.int32).cumsum(1, dtype=np.int32), ((1, 0), (1, 0)))
     top = [height - side * (rows - i) for i in range(rows)]
     left = [side * j for j in range(columns)]
@@ -279,44 +302,49 @@ def _cells(obstacle: Bool[np.ndarray, "H W"], side: float, name: str) -> Bool[np
 
 
 def _pixel_range(starts: list[float], side: float, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Returns first and last pixel (exclusive) of cells that start at some pixel coordinates."""
     first = np.floor(np.array(starts) + 1e-6).astype(int)
     last = np.ceil(np.array(starts) + side - 1e-6).astype(int)
     return first.clip(0, size), last.clip(0, size)
 
 
 def _yaml(text: str, name: str) -> Mapping[str, Any]:
-    """Reads plain YAML: tags could make objects, and references could grow without end."""
+    """Reads plain YAML: no tags, which could create objects, and no aliases, which could explode.
+
+    Raises:
+      base.UserError: it isn't such YAML, or too large or too deeply nested.
+    """
     if len(text) > MAX_YAML_BYTES:
         raise base.UserError(f"{name}: YAML of {len(text)} characters, at most {MAX_YAML_BYTES}")
 
-    # Token by token, so that what is hostile is refused before anything is made of it.
+    # Scanned token by token, so that hostile content is refused before anything is built from it.
     depth = 0
     try:
         for token in yaml.scan(text, Loader=yaml.SafeLoader):
             if isinstance(token, yaml.TagToken | yaml.AnchorToken | yaml.AliasToken):
                 line = token.start_mark.line + 1
                 raise base.UserError(
-                    f"{name}: a tag or reference in YAML at line {line}; none is read"
+                    f"{name}: YAML has a tag, anchor or alias at line {line}; none is allowed"
                 )
             depth += isinstance(token, _OPENING) - isinstance(token, _CLOSING)
             if depth > MAX_YAML_DEPTH:
-                raise base.UserError(f"{name}: no YAML of a map: more than {depth - 1} levels")
+                raise base.UserError(f"{name}: YAML is nested more than {MAX_YAML_DEPTH} deep")
         fields = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise base.UserError(f"{name}: no YAML: {_one_line(error)}") from None
+        raise base.UserError(f"{name}: not YAML: {_one_line(error)}") from None
     except (RecursionError, ValueError, OverflowError) as error:
         if isinstance(error, base.UserError):
             raise
-        raise base.UserError(f"{name}: no YAML of a map: {_one_line(error)}") from None
+        raise base.UserError(f"{name}: not YAML of a map: {_one_line(error)}") from None
     if not isinstance(fields, dict):
-        raise base.UserError(f"{name}: YAML without fields is no map of map_server")
+        raise base.UserError(f"{name}: not a map of map_server: the YAML has no fields")
     return fields
 
 
 def _number(
     fields: Mapping[str, Any], field: str, name: str, default: float | None = None
 ) -> float:
-    """Returns a finite number of the YAML."""
+    """Returns a finite number of the YAML, or raises `base.UserError`."""
     value = fields.get(field, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise base.UserError(f"{name}: {field} = {str(value)[:40]!r} must be a number")
