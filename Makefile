@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS := build/docs
 TOOLS := build/tools
-SOURCES := eihrl_jax experiments mkdocs_examples.py notebooks tests typings
+SOURCES := docs eihrl_jax experiments notebooks tests typings
 PYTHONS := python3.11 python3
 
 .DEFAULT_GOAL := help

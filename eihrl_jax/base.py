@@ -30,17 +30,17 @@ PRETRAINED = pathlib.Path(__file__).parent / "pretrained"
 """Folder of what the package ships of trained robots and policies."""
 
 Reward = Literal["sparse", "dense"]
-"""What a task pays for: goals that are reached, or nearness to the current one (paper, App. D)."""
+"""Reward of a task: for reaching goals, or for nearness to the current one (paper, App. D)."""
 
 REWARDS: tuple[Reward, ...] = get_args(Reward)
 
 MovementName = Literal["oracle", "full"]
-"""What moves the robot: the simulator its torso, or physics, with a low level for the controls."""
+"""What moves the robot: "oracle": the simulator its torso; "full": physics and a low level."""
 
 MOVEMENTS: tuple[MovementName, ...] = get_args(MovementName)
 
 Knows = Literal["nothing", "goal", "map"]
-"""What a high level with a map is told at the start: nothing, where goals are, or everything."""
+"""What is on a high level's map at the start: nothing, the goals, or everything."""
 
 EngineName = Literal["mujoco", "mjx"]
 """Physics: MuJoCo's C code on the processor, or MJX, which JAX compiles for an accelerator."""
@@ -60,14 +60,14 @@ ObsT = TypeVar("ObsT")
 
 
 class UserError(ValueError):
-    """A user's mistake, told in one line that names the thing, the value and the limit.
+    """A user's mistake; its text is one line that names the thing, the value and the limit.
 
     The command line prints it without a traceback and exits with 2.
     """
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """Returns what may have been meant by a name that there isn't, "" if nothing is like it.
+    """Returns a suggestion for an unknown name, "" if no known one is similar.
 
     >>> did_you_mean("spirel", ["random", "spiral"])
     'did you mean spiral? '
@@ -77,9 +77,9 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
 
 
 def printable(text: str) -> str:
-    r"""Returns a text in which whatever can't be shown is written as Python writes it.
+    r"""Returns a text with unprintable characters as Python's escape sequences.
 
-    Names of files may hold line ends, control codes, and bytes that are no text.
+    Names of files may hold line ends, control codes, and bytes that aren't valid text.
 
     >>> print(printable("a\nb\x1b[2J"))
     a\nb\x1b[2J
@@ -95,11 +95,11 @@ class Stopped(KeyboardInterrupt):
 
 
 class Outcome(struct.PyTreeNode):
-    """What a step led to, its observation left out.
+    """Reward and end flags of a step.
 
     Attributes:
       reward: float32, unitless.
-      terminated: the episode ended for good; nothing is to be expected beyond it.
+      terminated: the episode ended for good; the return after it is 0.
       truncated: the episode was cut by its time limit; never true together with `terminated`.
     """
 
@@ -208,14 +208,14 @@ class Environment(Protocol[InnerT, ObsT]):
 
 
 class GoalObs(struct.PyTreeNode):
-    """What a robot knows to which its own position and its goal are told. P: proprioception.
+    """Observation with the robot's own position and its goal. P: size of the proprioception.
 
     Attributes:
       xy: float32 [2], the torso's position, units.
       proprioception: float32 [P], qpos without x and y, then qvel; units, radians, per second.
       goal_xy: float32 [2], where the current goal is, units: the centre of its region, or of its
-        nearest cell where it is in several parts; once all have been visited, `xy`, as dense reward
-        then pays as if the goal were where the robot is.
+        nearest cell where it is in several parts; once all have been visited, `xy`, in line with
+        the dense reward, which is then that of a robot at its goal.
       time: float32, control steps since the episode's start / `TIME_UNIT`.
     """
 
@@ -230,7 +230,7 @@ class Transition(struct.PyTreeNode, Generic[ObsT]):
 
     Attributes:
       obs: observation before the action, a pytree.
-      action: what was done.
+      action: the action taken.
       reward: scalar, unitless.
       discount: gamma * (1 - terminated); a time limit leaves it at gamma.
       next_obs: observation after the action, `final_obs` at an episode's end.

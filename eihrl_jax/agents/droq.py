@@ -204,7 +204,7 @@ class Droq:
         params: base.Params,
         num_updates: Int[Array, ""],
     ) -> tuple[base.Params, optax.OptState]:
-        """Takes one step of Adam at the learning rate of this moment."""
+        """Takes one step of Adam at the current learning rate."""
         half_life = self.options.learning_rate_half_life
         if half_life is None:
             return optimisation.step(self._optimizer, grads, opt_state, params)

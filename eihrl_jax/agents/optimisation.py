@@ -1,4 +1,4 @@
-"""What all learners do with their optimisers: one step, a loop of steps, and what they tell."""
+"""Functions of optimisers that all learners share: one step, a loop of steps, and metrics."""
 
 from collections.abc import Callable
 from typing import TypeVar

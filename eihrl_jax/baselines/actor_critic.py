@@ -1,4 +1,4 @@
-"""What the levels of HIGL and HESS have in common: networks, averages, optimisers."""
+"""What the levels of HIGL and HESS share: networks, averages, optimisers."""
 
 from collections.abc import Callable
 from typing import TypeAlias, cast
@@ -16,7 +16,7 @@ from eihrl_jax.agents import optimisation
 Metrics: TypeAlias = dict[str, Float[Array, ""]]
 
 Loss: TypeAlias = tuple[Float[Array, ""], Metrics]
-"""A loss, and what is to be told beside it."""
+"""A loss, and metrics beside it."""
 
 
 class ActorCriticState(struct.PyTreeNode):

@@ -16,7 +16,7 @@ from eihrl_jax.config import baselines as config_lib
 
 
 class FlatState(struct.PyTreeNode):
-    """All that a run needs to go on. N: number of environments.
+    """Everything needed to resume a run. N: number of environments.
 
     Attributes:
       learner: networks and optimisers.
@@ -34,7 +34,7 @@ class FlatState(struct.PyTreeNode):
 
 
 class FlatDroq:
-    """The functions of a run; holds no state that changes.
+    """The functions of a run; has no mutable state.
 
     Attributes:
       options: of the run.
@@ -50,7 +50,7 @@ class FlatDroq:
         self._learner = droq.Droq(num_features, world.num_actions, options.learner)
 
     def init(self, key: Key[Array, ""]) -> FlatState:
-        """Returns the state of a run that is about to start, its replay still empty."""
+        """Returns the initial state of a run, with an empty replay."""
         key, learner_key, env_key = jax.random.split(key, 3)
         envs = self._world.reset(self.options.num_envs, env_key)
         action = jnp.zeros((self.options.num_envs, self._world.num_actions))
@@ -79,7 +79,7 @@ class FlatDroq:
         return state, metrics | {name: value.sum() for name, value in sums.items()}
 
     def policy(self, state: FlatState) -> dict[str, base.Params]:
-        """Returns what acts."""
+        """Returns the parameters that act."""
         # As in our low level: what acts without exploration is the actor's average.
         return {"actor": state.learner.average_params}
 
@@ -94,7 +94,7 @@ class FlatDroq:
         return self._learner.mode(policy["actor"], self.see(obs)), carry
 
     def see(self, obs: base.GoalObs) -> Float[Array, "*B F"]:
-        """Returns what the level sees: x and y from the arena's centre, the robot, the way left.
+        """Returns the network's input: position from the arena's centre, robot, way to the goal.
 
         Positions are in cells: in units, they would drown the robot in the layer normalisation.
         """

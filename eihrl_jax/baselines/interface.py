@@ -1,4 +1,4 @@
-"""What all baselines are to those who train and use them, and how one is made from its options."""
+"""The protocols of all baselines, and a function that makes one from its options."""
 
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -32,11 +32,11 @@ class Actor(Protocol[StateT, CarryT]):
         ...
 
     def init(self, key: Key[Array, ""]) -> StateT:
-        """Returns the state of a run that is about to start."""
+        """Returns the initial state of a run."""
         ...
 
     def policy(self, state: StateT) -> dict[str, base.Params]:
-        """Returns what acts: the parameters of networks by name."""
+        """Returns the parameters of the acting networks by name."""
         ...
 
     def start(self) -> CarryT:
@@ -65,7 +65,7 @@ class Baseline(Actor[StateT, CarryT], Protocol[StateT, CarryT]):
 
 @runtime_checkable
 class RowLearner(Actor[StateT, CarryT], Protocol[StateT, CarryT]):
-    """A learner from elsewhere that runs by itself, and is only asked for what it has come to."""
+    """An external learner that runs by itself and is asked for its results row by row."""
 
     def begin(self, state: StateT, num_rows: int, log_rounds: int) -> None:
         """Prepares to train for some rows of metrics of so many rounds each."""

@@ -12,7 +12,7 @@ from eihrl_jax import base
 
 @dataclasses.dataclass(frozen=True)
 class World:
-    """An environment, and what a baseline has to know of it.
+    """An environment, and what a baseline needs to know about it.
 
     Attributes:
       env: its observation is a `base.GoalObs`. Its `step` rests where the episode is over; for a

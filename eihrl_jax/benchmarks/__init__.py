@@ -1,1 +1,1 @@
-"""What the figures of docs/benchmarks.md are measured with, one module per subject."""
+"""Measurements of the figures in docs/benchmarks.md, one module per subject."""

@@ -1,4 +1,4 @@
-"""Measurements of the doors to other libraries for `experiments.benchmark`: what they cost."""
+"""Benchmark of the Gymnasium and Brax adapters: what they cost per step."""
 
 import time
 from collections.abc import Callable
@@ -74,7 +74,7 @@ def adapter_costs(
 
 
 def adapter_rows(figures: part.Figures) -> part.Rows:
-    """Tells what the doors cost."""
+    """Returns the table's rows of the adapters' costs."""
     return {
         f"a step of 256 points through {name}, against the bare environment": (
             f"{figures[name.lower()]:.2f} times its processor time"

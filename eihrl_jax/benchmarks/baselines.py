@@ -1,4 +1,4 @@
-"""Measurements of the baselines for `experiments.benchmark`: HIGL's speed."""
+"""Benchmark of the baselines: HIGL's speed."""
 
 import dataclasses
 import statistics
@@ -60,7 +60,7 @@ def higl_rate(maze: str = "random", rounds: int = 4, repeats: int = 5) -> part.F
 
 
 def higl_rows(figures: part.Figures) -> part.Rows:
-    """Tells HIGL's speed."""
+    """Returns the table's rows of HIGL's speed."""
     rate, ratio = figures["rate"], figures["ratio"]
     measured = f"{rate:.0f} control steps/s, {ratio:.1f} times the published"
     return {"HIGL with its own settings, learning included": measured}
@@ -76,7 +76,7 @@ def _fit_seconds(side_xy: tuple[int, int], options: config_lib.Adjacency) -> flo
 
 
 def _median_seconds(function: Callable[[StateT], StateT], state: StateT, repeats: int) -> float:
-    """Returns what a call takes, past compilation, each going on from the last."""
+    """Returns a call's median seconds, compilation excluded; each call continues from the last."""
     compiled = jax.jit(function).lower(state).compile()
     seconds = [seconds for _, seconds in timing.successive(compiled, state, repeats + 1)]
     return statistics.median(seconds[1:])  # the first call warms up

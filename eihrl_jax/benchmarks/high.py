@@ -1,4 +1,4 @@
-"""Measurements of the high level for `experiments.benchmark`: its speed, and what size costs."""
+"""Benchmark of the high level: speed of training, and cost of a decision by the maze's size."""
 
 import dataclasses
 import pathlib
@@ -40,7 +40,7 @@ def decisions_per_second(num_updates: int = 50, repeats: int = 5) -> dict[str, p
 
 
 def decisions_rows(figures: dict[str, part.Figures]) -> part.Rows:
-    """Tells how fast the high level learns."""
+    """Returns the table's rows of the high level's speed of training."""
     return {
         f"decisions per second, environment and learning, {kind}": (
             f"{rates['median']:,.0f} (median), {rates['fastest']:,.0f} (fastest)"
@@ -86,7 +86,7 @@ def decision_times(
 
 
 def decision_rows(figures: dict[str, part.Figures]) -> part.Rows:
-    """Tells how long a decision takes by the size of the maze."""
+    """Returns the table's rows of seconds per decision by the maze's size."""
     rows = {}
     for side, each in figures.items():
         per_cell = 1e6 * each["milliseconds"] / each["cells"]
@@ -122,7 +122,7 @@ def full_episodes(high_level: str = "best-random-0") -> part.Figures:
 
 
 def episodes_rows(figures: part.Figures) -> part.Rows:
-    """Tells how long episodes with physics take."""
+    """Returns the table's rows of episodes with physics."""
     measured = f"{figures['seconds']:.0f} s, success {100 * figures['success']:.1f} %"
     return {"500 episodes of the walking ant on the Random Square, past compilation": measured}
 

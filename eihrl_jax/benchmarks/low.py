@@ -1,4 +1,4 @@
-"""Measurements of the low level for `experiments.benchmark`: learner and walking, as ratios."""
+"""Benchmark of the low level: learner, and physics with a policy in the loop, as ratios."""
 
 import itertools
 from collections.abc import Callable
@@ -65,7 +65,7 @@ def updates_per_second(num_updates: int = 400, repeats: int = 5) -> part.Figures
 
 
 def updates_rows(figures: part.Figures) -> part.Rows:
-    """Tells how fast DroQ learns."""
+    """Returns the table's rows of DroQ's speed."""
     return {
         "DroQ updates per second, batch 256, actor every 20th": (
             f"{figures['ours']:,.0f}; sbx {figures['sbx']:,.0f}: {figures['ratio']:.2f} times; "
@@ -92,7 +92,7 @@ def flops_per_update(actor_period: int = _PER_CALL) -> float:
 
 
 def _flops(*sizes: int) -> float:
-    """Returns what a forward pass of a batch through layers of these sizes takes."""
+    """Returns the operations of a batch's forward pass through layers of these sizes."""
     return 2.0 * BATCH * sum(one * other for one, other in itertools.pairwise(sizes))
 
 
@@ -139,7 +139,7 @@ def walking_rate(num_steps: int = 100, repeats: int = 5) -> part.Figures:
 
 
 def walking_rows(figures: part.Figures) -> part.Rows:
-    """Tells what a policy in the loop costs."""
+    """Returns the table's rows of the cost of a policy in the loop."""
     measured = f"{100 * figures['ratio']:.0f} % of {figures['engine']:,.0f} control steps/s"
     return {
         "ants that walk with the policy in the loop against the engine alone, 64 ants": measured
@@ -169,7 +169,7 @@ def train_ours(num_updates: int) -> Callable[[], droq.DroqState]:
 
 
 def _transitions(rng: np.random.Generator) -> base.Transition:
-    """Draws as many transitions as a replay holds, of no meaning."""
+    """Draws random transitions, as many as a replay holds."""
 
     def normal(*shape: int) -> jax.Array:
         return jnp.asarray(rng.normal(size=(CAPACITY, *shape)), jnp.float32)

@@ -1,7 +1,7 @@
-"""Neighbouring projects for `experiments.benchmark`: their speed and ours, in turns in one run.
+"""Benchmark of neighbouring projects: their speed and ours, measured alternately in one run.
 
 Control steps of an ant that pushes at random, of 256 at once where a project has batches. What is
-not installed is told as such and costs nothing.
+not installed is reported as such.
 """
 
 import importlib.util
@@ -106,7 +106,7 @@ def compare(
     repeats: int,
     clock: Callable[[], float] | None = None,
 ) -> Figures:
-    """Measures runs in turns.
+    """Measures runs alternately.
 
     Args:
       ours: prepares our runs, by name; those that nobody is compared with aren't.
@@ -147,7 +147,7 @@ def compare(
 
 
 def rows(figures: Figures) -> part.Rows:
-    """Tells how we compare."""
+    """Returns the table's rows of the comparison."""
     told = {}
     for row in figures:
         what = f"{row['ours']} against {row['theirs']}"

@@ -1,4 +1,4 @@
-"""A part of the benchmark: what it measures, and how it tells that."""
+"""A part of the benchmark: its measurement, and its rows of the table."""
 
 import dataclasses
 from collections.abc import Callable
@@ -18,8 +18,8 @@ class Part(Generic[FiguresT]):
     """Something that is measured.
 
     Attributes:
-      measure: takes the measurement; what it returns can be written as JSON.
-      rows: tells what `measure` returned, also after it was read from a file.
+      measure: takes the measurement, and returns JSON values.
+      rows: turns those into rows of the table, also after they were read from a file.
       options: of the benchmark that `measure` takes by name.
     """
 

@@ -1,4 +1,4 @@
-"""Measurements of the physics engines for `experiments.benchmark`; ratios, never limits.
+"""Benchmark of the physics engines; ratios, never limits.
 
 Times that are compared are taken in turns, and the shortest of each side counts: whatever else the
 machine does can only lengthen them.
@@ -65,7 +65,7 @@ def interface_ratio(num_envs: int = 1024, num_steps: int = 20, repeats: int = 15
 
 
 def interface_rows(figures: part.Figures) -> part.Rows:
-    """Tells what the interface costs."""
+    """Returns the table's rows of the interface's cost."""
     measured = f"{100 * figures['ratio']:.0f} % of {figures['alone']:,.0f} control steps/s"
     return {"C engine behind the interface against `mujoco.batch` alone, 1024 ants": measured}
 
@@ -100,7 +100,7 @@ def maze_costs(num_steps: int = 10) -> dict[str, part.Figures]:
 
 
 def maze_costs_rows(figures: dict[str, part.Figures]) -> part.Rows:
-    """Tells how much more a control step costs in the greater maze."""
+    """Returns the table's rows of a control step's cost in the larger maze."""
     return {
         f"cost of a control step, Spiral against Random Square, {engine}": (
             f"{100 * (cost['ratio'] - 1):+.1f} %"
@@ -139,7 +139,7 @@ def throughput(
 
 
 def throughput_rows(figures: list[dict[str, str | float]]) -> part.Rows:
-    """Tells how many control steps the engines take."""
+    """Returns the table's rows of the engines' rates."""
     return {
         f"{row['num_envs']:,} ants at once, {row['engine']}": f"{row['rate']:,.0f} control steps/s"
         for row in figures
@@ -195,7 +195,7 @@ def engine_deviations(num_envs: int = 16, num_steps: int = 50) -> list[dict[str,
 
 
 def deviation_rows(figures: list[dict[str, str | float]]) -> part.Rows:
-    """Tells how far MJX is from MuJoCo C."""
+    """Returns the table's rows of MJX's deviation from MuJoCo C."""
     rows = {}
     for row in figures:
         where = "at walls" if row["walls"] else "on open floor"

@@ -31,7 +31,7 @@ PARTS: dict[str, Part[Any]] = {
 
 @limits.dataclass
 class BenchmarkConfig:
-    """Measures speeds, and how far the engines part, and writes benchmark.json and benchmark.md.
+    """Measures speeds and the engines' divergence, and writes benchmark.json and benchmark.md.
 
     Run it on a machine that does nothing else; the figures stand beside the machine's name.
 

@@ -19,7 +19,7 @@ from eihrl_jax.config import brax as brax_config
 from eihrl_jax.envs import goal_maze
 
 _OF_THE_MACHINE = ("sps", "walltime", "buffer_current_size")
-"""What Brax tells that is none of the learner."""
+"""Metrics of Brax that aren't the learner's."""
 
 
 class AgentState(struct.PyTreeNode):
@@ -64,7 +64,7 @@ class BraxAgent:
         )
 
     def init(self, key: Key[Array, ""]) -> AgentState:
-        """Returns the state of a run that is about to start."""
+        """Returns the initial state of a run."""
         policy_key, value_key = jax.random.split(jax.random.key_data(key))
         statistics = learners.no_statistics(self._num_features)
         params: dict[str, Any] = {
@@ -111,7 +111,7 @@ class BraxAgent:
             self._training = None
 
     def policy(self, state: AgentState) -> dict[str, base.Params]:
-        """Returns what acts."""
+        """Returns the parameters that act."""
         normaliser: Any = state.params["normaliser"]
         shown = {name: normaliser[name] for name in ("mean", "std")}
         return {"normaliser": shown, "policy": state.params["policy"]}
@@ -145,7 +145,7 @@ class _Training:
     """A run that is under way.
 
     Attributes:
-      rows: what the learner tells.
+      rows: of the learner.
     """
 
     def __init__(self, options: brax_config.BraxConfig, course: learners.Course):
@@ -162,7 +162,7 @@ class _Training:
     def next_row(self, state: AgentState) -> tuple[AgentState, dict[str, Array]]:
         """Trains for a row, see `BraxAgent.next_row`."""
         num_steps = state.num_steps + self._course.per_row
-        # Brax tells nothing while it fills the replay, and does so before its first row.
+        # Brax reports nothing while it fills the replay, before its first row.
         if self._waiting:
             self._waiting -= 1
             return state.replace(num_steps=num_steps), {"episodes": jnp.zeros(())}

@@ -1,4 +1,4 @@
-"""What learners of Brax 0.14.2 want of JAX and no longer find there."""
+"""A function of older JAX versions that the learners of Brax 0.14.2 still call."""
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Training by Brax's PPO and SAC, whose own functions run from the first step to the last.
+"""Training with Brax's own PPO and SAC functions, which run from the first step to the last.
 
 Both are called as they are. What is read from them in between, and given back to them when a run
 goes on, are the normaliser and the policy and, of PPO, the values: the rest of their state they
@@ -37,7 +37,7 @@ Factory: TypeAlias = Callable[..., Any]
 
 
 class Row(NamedTuple):
-    """What Brax tells at the end of a row of metrics."""
+    """What Brax's callback receives at the end of a row of metrics."""
 
     params: Params
     metrics: Mapping[str, Any]
@@ -122,7 +122,7 @@ def no_statistics(num_features: int) -> running_statistics.RunningStatisticsStat
 
 
 def run_ppo(options: brax_config.PpoConfig, course: Course, tell: Tell) -> None:
-    """Trains by PPO to the end of the course, and tells every row."""
+    """Trains by PPO to the end of the course, and reports every row."""
     normaliser, policy = for_brax(course.params)
     latest: list[Any] = []
 
@@ -150,7 +150,7 @@ def run_ppo(options: brax_config.PpoConfig, course: Course, tell: Tell) -> None:
 
 
 def run_sac(options: brax_config.SacConfig, course: Course, tell: Tell) -> None:
-    """Trains by SAC to the end of the course, and tells every row after the warm-up."""
+    """Trains by SAC to the end of the course, and reports every row after the warm-up."""
     normaliser, policy = for_brax(course.params)
 
     def begin_with(state: Any) -> Any:
@@ -198,7 +198,7 @@ def for_brax(params: Params) -> tuple[running_statistics.RunningStatisticsState,
 
 
 def from_brax(params: Sequence[Any]) -> Params:
-    """Undoes `for_brax`, of the parameters of either learner."""
+    """Inverse of `for_brax`, for the parameters of either learner."""
     normaliser, *others = params
     named = dict(zip(("policy", "value"), others, strict=False))  # SAC tells no values
     told = {"normaliser": serialization.to_state_dict(normaliser), **named}

@@ -1,4 +1,4 @@
-"""Brax's learners row by row: they run from end to end by themselves, and are held in between."""
+"""Runs Brax's learners row by row: each runs in a thread that is paused between two rows."""
 
 import queue
 import threading
@@ -9,11 +9,11 @@ RowT = TypeVar("RowT")
 
 
 class _Closed(Exception):
-    """Nobody asks for more rows."""
+    """Raised in the thread to end it: no more rows are wanted."""
 
 
 class Rows(Generic[RowT]):
-    """What a function tells a callback, one thing at a time; it rests until the next is asked for.
+    """The values that a function passes to its callback, one at a time; it pauses in between.
 
     The function runs in a thread of its own, but never at the same time as who asks.
     """
@@ -27,7 +27,7 @@ class Rows(Generic[RowT]):
         self._thread = threading.Thread(target=self._run, name="brax", daemon=True)
 
     def next(self) -> RowT:
-        """Returns the next thing that is told.
+        """Returns the next value.
 
         Raises:
           StopIteration: there is none, and the function has returned.
@@ -42,7 +42,7 @@ class Rows(Generic[RowT]):
         return told
 
     def close(self) -> None:
-        """Ends the function where it rests, if it has begun; may be called twice."""
+        """Ends the function where it is paused, if it has begun; may be called twice."""
         self._is_closed = True
         self._asked.release()
         if self._thread.ident is not None:
@@ -59,7 +59,7 @@ class Rows(Generic[RowT]):
             self._told.put(error)
 
     def _tell(self, row: RowT) -> None:
-        """Hands over a row, and rests."""
+        """Passes on a row, and pauses."""
         self._told.put(row)
         self._wait()
 

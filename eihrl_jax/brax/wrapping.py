@@ -1,4 +1,4 @@
-"""How Brax's learners run our environments: the next episode is drawn anew."""
+"""Wrapper for Brax's learners that draws a new maze, start and goal for every episode."""
 
 import dataclasses
 from typing import Any

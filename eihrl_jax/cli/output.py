@@ -1,4 +1,4 @@
-"""Standard output whose reader may go before a command is through."""
+"""Standard output that survives a closed pipe and a full disk."""
 
 import codecs
 import functools
@@ -16,16 +16,16 @@ INTERRUPTED = 128 + signal.SIGINT
 
 
 class _Output(io.TextIOWrapper):
-    """Standard output that is left alone when its reader goes, as in `eihrl evaluate | head`.
+    """Standard output that is discarded once its reader has gone, as in `eihrl evaluate | head`.
 
-    What computes goes on, and its results are written; the rest of its output goes nowhere. Letters
-    that it can't hold are written in others.
+    The command goes on and writes its results. Characters that the encoding lacks are replaced by
+    similar ones.
     """
 
     end: OSError | None = None
 
     def write(self, text: str) -> int:
-        """Writes a text, as long as it can be written."""
+        """Writes a text, or discards it after an error."""
         try:
             return super().write(text)
         except OSError as error:
@@ -33,20 +33,20 @@ class _Output(io.TextIOWrapper):
             return len(text)
 
     def flush(self) -> None:
-        """Hands on what is written, as long as it can be written."""
+        """Flushes the buffer, or discards it after an error."""
         try:
             super().flush()
         except OSError as error:
             self._go_on(error)
 
     def _go_on(self, error: OSError) -> None:
-        """Sends to nowhere what is still to be written, what is held back included."""
+        """Discards all further output, including what is buffered."""
         self.end = error
         os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
 
 
 def outlives_its_reader(call: Callable[P, None]) -> Callable[P, None]:
-    """Lets a command end as it does when nobody reads its output any more, but for its code."""
+    """Lets a command run to its end when its output can't be written; its exit code tells."""
 
     @functools.wraps(call)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -63,7 +63,7 @@ def outlives_its_reader(call: Callable[P, None]) -> Callable[P, None]:
             is_interrupt = isinstance(end, KeyboardInterrupt)  # while a command is still imported
             if not is_interrupt and end.code != INTERRUPTED:
                 raise
-            # Nothing is left to stop: another one would only be a traceback of Python's own end.
+            # Ignored from here on: another Ctrl-C would only print a traceback of the shutdown.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             if is_interrupt:
                 print("interrupted", file=sys.stderr)
@@ -84,7 +84,7 @@ _ALIKE = {"±": "+-", "…": "...", "·": "-", "≥": ">=", "≤": "<="}
 
 
 def _like(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Writes letters that an encoding lacks as others that are like them, or by their number."""
+    """Replaces characters that an encoding lacks by similar ones, or by their escape sequence."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     letters = error.object[error.start : error.end]

@@ -1,4 +1,4 @@
-"""Options of HESS; defaults are those of its released code, but for what the paper says better."""
+"""Options of HESS; defaults are its released code's, or its paper's where the two differ."""
 
 from typing import Annotated, Literal
 

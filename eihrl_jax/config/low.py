@@ -39,15 +39,15 @@ class LowReward:
     """The intrinsic reward, a difference of potentials of the displacement since the subgoal.
 
     Attributes:
-      scale: alpha of eq. 1; 0 where the robot is to stand, wherever it is.
-      lateral_weight: price of a unit of sideways drift against a unit of progress; 0 in eq. 1.
-      beyond_cell: what progress beyond one cell pays, against progress before: 1 in eq. 1, 0 for
-        nothing, -1 where going too far costs as much as going back.
-      is_paced: the point beyond which progress pays `beyond_cell` moves steadily from the start to
-        one cell ahead in the subgoal's time, so that hurrying gains nothing.
-      fall_cost: what a fall costs besides the end of the episode, which it must end; 0 in eq. 1.
-      standing: what a control step upright and at full height pays against one on its back; 0 in
-        eq. 1.
+      scale: alpha of eq. 1; 0 for a robot that only has to stand.
+      lateral_weight: penalty of sideways drift, relative to progress; 0 in eq. 1.
+      beyond_cell: reward of progress beyond one cell, relative to progress before: 1 in eq. 1, 0
+        for none, -1 if going too far costs as much as going back.
+      is_paced: the point from which on `beyond_cell` applies moves steadily from the start to one
+        cell ahead in the subgoal's time, so that hurrying gains nothing.
+      fall_cost: penalty of a fall, which must then end the episode; 0 in eq. 1.
+      standing: reward of a control step upright and at full height, relative to one on its back; 0
+        in eq. 1.
     """
 
     scale: Annotated[float, limits.Range(0.0, 1000.0)] = 3.0  # paper, Table 4

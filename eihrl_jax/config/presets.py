@@ -1,4 +1,4 @@
-"""Named settings: `paper` as the paper has it, `best` for the highest numbers; never mixed.
+"""Named settings: `paper` follows the paper, `best` has the best results; never mixed.
 
 >>> tuple(HIGH), tuple(BASELINES)
 (('best', 'paper'), ('droq', 'higl', 'hrac', 'hiro', 'hess', 'ppo', 'sac'))
@@ -24,11 +24,11 @@ def low_paper() -> low_config.LowConfig:
 
 
 def low_best() -> low_config.LowConfig:
-    """The low level with all that keeps epsilon small in little time.
+    """The low level with everything that makes epsilon small in short training.
 
-    The world is turned into the direction's frame and the robot renamed to face it; the robot knows
-    how far it has come and how much time is left, is paid for coming nearer to the point one cell
-    ahead, and half of its rooms have inner walls. Many environments run at once.
+    Observations are in the canonical frame, with displacement and time left; the reward is for
+    coming nearer to the point one cell ahead; half of the rooms have inner walls; and many
+    environments run at once.
     """
     return low_config.LowConfig(
         preset="best",
@@ -50,14 +50,14 @@ def low_best() -> low_config.LowConfig:
 
 
 def low_restarting() -> low_config.LowConfig:
-    """`best`, where half of the steps are looked at as if a new subgoal had just been given."""
+    """`best`, with half of the replayed steps turned into the first step of a new subgoal."""
     return dataclasses.replace(low_best(), relabel="restart")
 
 
 def low_point() -> low_config.LowConfig:
-    """`low_restarting` for the point robot, which needs a minute on one core, and open floor alone.
+    """`low_restarting` for the point robot, on open floor alone; a minute on one core.
 
-    A point that is held by walls, which it doesn't see, takes precision from the values.
+    The point doesn't see walls: steps in which they hold it make the values less precise.
     """
     return dataclasses.replace(
         low_restarting(),
@@ -65,16 +65,16 @@ def low_point() -> low_config.LowConfig:
         robot="point",
         num_iterations=2_000,
         capacity=128_000,  # the whole run
-        num_rooms=0,  # The point doesn't see walls, and would learn to expect them.
+        num_rooms=0,  # open floor
         droq=dataclasses.replace(low_best().droq, hidden=(64, 64)),
     )
 
 
 def low_swimmer() -> low_config.LowConfig:
-    """`low_restarting` for the swimmer, which is slow to turn and needs more practice.
+    """`low_restarting` for the swimmer, which turns slowly and needs longer training.
 
-    It begins anywhere in a cell, and goes to the middle of the next one, in corridors too: else it
-    stays where a corridor's walls hold it folded, for dozens of subgoals on end.
+    It starts anywhere in a cell and follows anchored subgoals, in corridors too: otherwise walls of
+    a corridor can hold it folded for dozens of subgoals.
     """
     return dataclasses.replace(
         low_restarting(),
@@ -91,9 +91,9 @@ def low_swimmer() -> low_config.LowConfig:
 def low_humanoid() -> low_config.LowConfig:
     """`low_restarting` for the humanoid, which must learn not to fall before it learns to walk.
 
-    It is paid for keeping pace: paid for hurrying, it runs past the goal and falls. The actor is
-    averaged over many updates, because from one to the next it gains and loses its balance, and the
-    learning rate falls.
+    The reward is for keeping pace (`is_paced`): rewarded for hurrying, it runs past the cell and
+    falls. The actor is averaged over many updates, because its balance changes from one update to
+    the next, and the learning rate decays.
     """
     best = low_restarting()
     return dataclasses.replace(
@@ -110,9 +110,9 @@ def low_humanoid() -> low_config.LowConfig:
 
 
 def low_stand() -> low_config.LowConfig:
-    """`best` for a robot that is thrown and has to stand up; where it is, doesn't matter.
+    """`best` for a robot that is thrown and has to stand up, wherever it is.
 
-    It takes over from a low level that walks while its robot is down, see `envs.recovery`.
+    It takes over from a walking low level while the robot is down, see `envs.recovery`.
     """
     best = low_best()
     return dataclasses.replace(
@@ -151,13 +151,13 @@ def high_paper() -> high_config.HighConfig:
 
 
 def high_best() -> high_config.HighConfig:
-    """The high level that remembers: it searches the map of what it has seen, in any maze.
+    """The high level that searches a map of what it has seen, in mazes of any size.
 
-    Five cells are in view at a time. What hasn't been seen attracts it from the start, and a low
+    Five by five cells are in view at a time. Unseen cells attract it from the start, and a low
     entropy bonus doesn't undo that before a goal is found. Short windows give many updates in
-    little time, a rate that falls to nothing lets the policy settle, a discount of 0.94 makes it
-    hurry. Subgoals are anchored, so that offsets don't add up beside a door. In use it takes the
-    most likely subgoals: samples go back and forth more, and are late more often in large rooms.
+    little time, a decaying learning rate lets the policy converge, and a discount of 0.94 favours
+    short ways. Subgoals are anchored, so that offsets don't add up beside a door. In use it takes
+    the most likely subgoals, because sampled ones go back and forth more and are late more often.
     """
     return high_config.HighConfig(
         preset="best",
@@ -188,19 +188,19 @@ HIGH = {"best": high_best(), "paper": high_paper()}
 
 
 def higl() -> higl_config.HiglConfig:
-    """HIGL, as released but for what is wrong there, and with landmarks for our mazes.
+    """HIGL as released (Kim et al. 2021), errors corrected, and with landmarks for our mazes.
 
-    There are as many as the release has in its large mazes: fewer lie farther apart than the
-    cutoff, and the graph falls to pieces. Our goals end an episode at their rim, so that no
-    landmark comes to lie in one: a goal is followed itself from as far off as a landmark would be.
-    Levels that see the time know the limit, which is an end as released (Kim et al. 2021).
+    There are as many landmarks as the release has in its large mazes: fewer are farther apart than
+    the cutoff, and the graph is disconnected. Our goals end an episode at their border, so that no
+    landmark lies inside of one: so a goal is followed directly from the same distance as landmarks.
+    Both levels observe the time, so the time limit counts as a terminal state, as released.
     """
     landmarks = higl_config.Landmarks(num_coverage=60, num_novel=60, near=-38.0)
     return higl_config.HiglConfig(landmarks=landmarks, is_limit_terminal=True)
 
 
 def hrac() -> higl_config.HiglConfig:
-    """HRAC: subgoals held to what is adjacent, within a period's steps (Zhang et al. 2020)."""
+    """HRAC: subgoals constrained to places reachable within a period (Zhang et al. 2020)."""
     return higl_config.HiglConfig(
         method="hrac",
         guidance="adjacency",
@@ -210,12 +210,12 @@ def hrac() -> higl_config.HiglConfig:
 
 
 def hiro() -> higl_config.HiglConfig:
-    """HIRO: subgoals as the manager likes them (Nachum et al. 2018)."""
+    """HIRO: unconstrained subgoals (Nachum et al. 2018)."""
     return higl_config.HiglConfig(method="hiro", guidance="none", is_limit_terminal=True)
 
 
 def hess() -> hess_config.HessConfig:
-    """HESS, as released but for what its paper says better (Li et al. 2021)."""
+    """HESS as released (Li et al. 2021), following its paper where the two differ."""
     return hess_config.HessConfig(log_rounds=1)  # a round is a whole episode
 
 

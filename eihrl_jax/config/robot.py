@@ -1,4 +1,4 @@
-"""Options of trying out a robot of one's own."""
+"""Options of trying out a user's robot."""
 
 import pathlib
 

@@ -1,4 +1,4 @@
-"""Options of what looks at runs that are there: their curves, and how they differ."""
+"""Options of plotting and comparing existing runs."""
 
 import pathlib
 
@@ -34,11 +34,11 @@ class PlotConfig:
 
 @limits.dataclass
 class CompareRunsConfig:
-    """Tells in which options runs differ, what they came to and how long they took.
+    """Compares runs: the options in which they differ, their last metrics and durations.
 
     Attributes:
       runs: two run folders or more.
-      metrics: further columns of their metrics.csv, whose last values are told.
+      metrics: further columns of their metrics.csv, whose last values are shown.
     """
 
     runs: limits.Several[pathlib.Path]

@@ -78,7 +78,7 @@ def _run(config: DatasetConfig, made: making.Made, folder: pathlib.Path) -> list
     starts = range(0, config.episodes, config.batch)
     paths = [folder / f"{start:07d}.npz" for start in starts]
     done = sum(path.is_file() for path in paths)
-    rows = parts.Rows(made.teller, config.batch)
+    rows = parts.Rows(made.recorder, config.batch)
 
     name, total = name_of(config), config.episodes
     done = min(done * config.batch, total)

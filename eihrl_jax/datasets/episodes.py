@@ -1,4 +1,4 @@
-"""Episodes with all that a dataset tells of them, many at once."""
+"""Runs episodes and returns everything that a dataset records of them."""
 
 import dataclasses
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
@@ -17,17 +17,17 @@ from eihrl_jax.ops import tree
 from eihrl_jax.reporting import facade
 
 EnvState: TypeAlias = base.EnvState[Any, Any]
-"""Of a maze by decisions, moved by the oracle or walking."""
+"""State of `OracleMaze`, or of `PhysicsMaze`."""
 
 Infos: TypeAlias = dict[str, Array]
 
 
 class Shown(NamedTuple):
-    """What a dataset tells of a moment.
+    """What a dataset records of the state at one moment.
 
     Attributes:
-      obs: as the Gymnasium environment shows it.
-      infos: what it tells besides.
+      obs: the Gymnasium environment's observation.
+      infos: further arrays by name.
     """
 
     obs: PyTree[Array]
@@ -35,14 +35,14 @@ class Shown(NamedTuple):
 
 
 class Steps(struct.PyTreeNode):
-    """What a decision led to, in k steps of the dataset.
+    """The k steps of the dataset that one decision makes.
 
     Attributes:
-      shown: after each of them.
-      action: what was done.
+      shown: the state after each step.
+      action: the action of each step.
       direction: int32, the subgoal that was followed.
-      outcome: of the step.
-      is_running: whether the episode went on through it; else nothing of it counts.
+      outcome: of each step.
+      is_running: whether the episode wasn't over before the step; steps after the end don't count.
     """
 
     shown: Shown
@@ -53,27 +53,27 @@ class Steps(struct.PyTreeNode):
 
 
 @runtime_checkable
-class Teller(Protocol):
-    """Runs episodes of a hierarchy and tells them."""
+class Recorder(Protocol):
+    """Runs episodes of a hierarchy and records them."""
 
     def reset(self, key: Key[Array, ""]) -> tuple[EnvState, Shown]:
         """Begins the episode of the Gymnasium environment with that seed's key."""
         ...
 
     def decide(self, state: EnvState) -> tuple[EnvState, Steps]:
-        """Makes a decision and follows it; an episode that is over rests."""
+        """Makes a decision and follows it; the state of an episode that is over stays as it is."""
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class Walking:
-    """A robot that walks, told control step by control step.
+    """A robot with physics, recorded control step by control step.
 
     Attributes:
       high: chooses directions.
       levels: the robot in the maze, with its low level.
-      maze: the same as `eihrl_jax/Maze-v0` has it.
-      gym_task: shows it.
+      maze: the same maze as in `eihrl_jax/Maze-v0`.
+      gym_task: gives that environment's observations and rewards.
     """
 
     high: loading.HighLevel
@@ -82,12 +82,12 @@ class Walking:
     gym_task: MazeTask
 
     def reset(self, key: Key[Array, ""]) -> tuple[EnvState, Shown]:
-        """Begins an episode, see `Teller`."""
+        """Begins an episode, see `Recorder`."""
         state = self.levels.reset(key, jnp.int32(0))
         return state, self._show(state.inner.nav, state.inner.body)
 
     def decide(self, state: EnvState) -> tuple[EnvState, Steps]:
-        """Makes a decision and walks it, see `Teller`."""
+        """Makes a decision and lets the low level follow it, see `Recorder`."""
         env = self.levels.env
         direction = self.high.policy(state.obs, jax.random.fold_in(state.key, facade.HIGH_STREAM))
         next_key, low_key = jax.random.split(state.key)
@@ -100,7 +100,7 @@ class Walking:
             ctrl = self.levels.low_policy(env.low_obs(subgoal, body), key)
             moved = env.control(subgoal, body, ctrl)
 
-            # As `GoalMaze` has it, which counts and pays control steps.
+            # As in `GoalMaze`, whose decisions are control steps.
             before = subgoal.nav.replace(visited=body.visited, decisions=num_steps)
             xy = moved.physics.qpos[None, :2]
             nav, outcome = task.advance(self.maze.table, before, xy, self.gym_task.reward_kind)
@@ -120,7 +120,7 @@ class Walking:
         return tree.where(state.is_over, state, following), steps
 
     def _show(self, nav: task.Navigation, body: physics_maze.Body) -> Shown:
-        """Returns what is told of a moment."""
+        """Returns what is recorded of a state."""
         obs = self.maze.observe(nav, body.physics)
         infos = {"qpos": body.physics.qpos, "qvel": body.physics.qvel, "goal": obs.goal_xy}
         return Shown(self.gym_task.see(obs), infos)
@@ -128,12 +128,12 @@ class Walking:
 
 @dataclasses.dataclass(frozen=True)
 class ByOracle:
-    """A robot that the simulator moves, told decision by decision.
+    """A robot with oracle movement, recorded decision by decision.
 
     Attributes:
       high: chooses directions.
       env: the maze.
-      gym_task: shows it as `eihrl_jax/HighLevel-v0` does.
+      gym_task: gives the observations of `eihrl_jax/HighLevel-v0`.
     """
 
     high: loading.HighLevel
@@ -141,12 +141,12 @@ class ByOracle:
     gym_task: HighLevelTask
 
     def reset(self, key: Key[Array, ""]) -> tuple[EnvState, Shown]:
-        """Begins an episode, see `Teller`."""
+        """Begins an episode, see `Recorder`."""
         state = self.env.reset(key, jnp.int32(0))
         return state, self._show(state)
 
     def decide(self, state: EnvState) -> tuple[EnvState, Steps]:
-        """Makes a decision and is moved, see `Teller`."""
+        """Makes a decision and moves the robot, see `Recorder`."""
         direction = self.high.policy(state.obs, jax.random.fold_in(state.key, facade.HIGH_STREAM))
         following = self.env.step(state, direction)
         step = Steps(
@@ -160,6 +160,6 @@ class ByOracle:
         return following, jax.tree.map(lambda leaf: leaf[None], step)
 
     def _show(self, state: EnvState) -> Shown:
-        """Returns what is told of a moment."""
+        """Returns what is recorded of a state."""
         goal_xy = task.current_goal_xy(self.env.table, state.inner.nav, state.inner.xy)
         return Shown(self.gym_task.see(state.obs), {"xy": state.inner.xy, "goal": goal_xy})

@@ -1,4 +1,4 @@
-"""Builds what a dataset's options name: who acts, and the environment that is told."""
+"""Builds from a dataset's options the hierarchy that acts and the environment that is recorded."""
 
 import dataclasses
 from typing import NamedTuple
@@ -22,11 +22,11 @@ class Made(NamedTuple):
     """What a dataset is made with.
 
     Attributes:
-      teller: runs episodes.
+      recorder: runs episodes.
       env: the Gymnasium environment whose episodes they are; nothing of it is compiled.
     """
 
-    teller: episodes.Teller
+    recorder: episodes.Recorder
     env: gymnasium.Env
 
 

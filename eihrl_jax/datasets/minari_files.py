@@ -1,4 +1,4 @@
-"""Datasets as Minari has them: by an id, in a folder of all of them."""
+"""Datasets in Minari's format: by id, in the folder of all datasets."""
 
 import contextlib
 import os
@@ -50,7 +50,7 @@ def write(
     num_episodes: int,
     **metadata: Any,
 ) -> None:
-    """Puts parts together to a dataset.
+    """Joins parts to a dataset.
 
     Args:
       name: its id.
@@ -70,12 +70,12 @@ def write(
         # Minari misses an author, a link to code, and an expert's return.
         warnings.simplefilter("ignore", UserWarning)
         for file in files:
-            told = list(parts.read(file, first_seed + done))[: num_episodes - done]
+            rows = list(parts.read(file, first_seed + done))[: num_episodes - done]
             # HDF5 ends the process where it finds the disk full.
-            size += sum(_EXTRA + array.nbytes for each in told for array in each.values())
+            size += sum(_EXTRA + array.nbytes for each in rows for array in each.values())
             there = sum(path.stat().st_size for path in root.rglob("*.hdf5"))
             writing.check_room(root, size, min(there, size))
-            buffer = [_buffer(each, first_seed + done + i) for i, each in enumerate(told)]
+            buffer = [_buffer(each, first_seed + done + i) for i, each in enumerate(rows)]
             done += len(buffer)
             if dataset is None:
                 dataset = minari.create_dataset_from_buffers(
@@ -93,9 +93,9 @@ def make_namespace(name: str, root: pathlib.Path | None) -> None:
             namespaces.create_namespace(namespace)
 
 
-def _buffer(told: parts.Arrays, seed: int) -> minari.data_collector.EpisodeBuffer:
-    """Returns an episode as Minari takes it."""
-    return minari.data_collector.EpisodeBuffer(seed=seed, **parts.nested(told))
+def _buffer(row: parts.Arrays, seed: int) -> minari.data_collector.EpisodeBuffer:
+    """Converts an episode to Minari's type."""
+    return minari.data_collector.EpisodeBuffer(seed=seed, **parts.nested(row))
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Finished episodes on disk, batch by batch, until all are there."""
+"""Files of finished episodes, one per batch, from which an interrupted dataset is resumed."""
 
 import pathlib
 from collections.abc import Iterator
@@ -12,47 +12,47 @@ from eihrl_jax.datasets import episodes
 from eihrl_jax.storage import archives
 
 Arrays = dict[str, np.ndarray]
-"""What is told of an episode by name, "infos/qpos" for what is inside of a dict."""
+"""The arrays of an episode by name, such as "infos/qpos" for an array in a dict."""
 
 _LENGTHS, _SEED = "lengths", "seed"
 _MAX_SIZE = 2**32  # bytes of a part
 
 _MOMENTS = ("observations", "infos")
-"""What is told once more than there are steps: of the start, too."""
+"""Arrays with one more entry than there are steps, because the start has one too."""
 
 
 class Rows:
-    """Runs N episodes at once, compiled once."""
+    """Runs batches of N episodes, compiled once."""
 
-    def __init__(self, teller: episodes.Teller, num: int):
+    def __init__(self, recorder: episodes.Recorder, num: int):
         """Compiles nothing yet."""
         self._num = num
-        self._reset = jax.jit(jax.vmap(teller.reset))
-        self._decide = jax.jit(jax.vmap(teller.decide))
+        self._reset = jax.jit(jax.vmap(recorder.reset))
+        self._decide = jax.jit(jax.vmap(recorder.decide))
 
     def run(self, first_seed: int) -> list[Arrays]:
-        """Returns the episodes of N seeds, each whole."""
+        """Returns N whole episodes, of this seed and the following ones."""
         seeds = np.arange(first_seed, first_seed + self._num, dtype=np.uint32)
         state, shown = self._reset(jax.vmap(jax.random.key)(seeds))
         shown = jax.device_get(shown)
 
-        told = []
+        recorded = []
         while not np.asarray(state.is_over).all():
             state, steps = self._decide(state)
-            told.append(jax.device_get(steps))
-        steps = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *told)
+            recorded.append(jax.device_get(steps))
+        steps = jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=1), *recorded)
         rows = [jax.tree.map(lambda leaf, i=i: leaf[i], (shown, steps)) for i in range(self._num)]
         return [_episode(*row) for row in rows]
 
 
 def _episode(first: episodes.Shown, steps: episodes.Steps) -> Arrays:
-    """Returns what is told of one episode, its rest left out."""
-    num = int(steps.is_running.sum())  # it runs, and then rests
+    """Returns the arrays of one episode, up to its end."""
+    num = int(steps.is_running.sum())  # running steps come first
     steps = jax.tree.map(lambda leaf: leaf[:num], steps)
     obs, infos = jax.tree.map(
         lambda start, rest: np.concatenate([start[None], rest]), tuple(first), tuple(steps.shown)
     )
-    # At the last moment the subgoal before it is told, for there is none after it.
+    # No subgoal follows the last state: the one before it is repeated.
     infos["direction"] = np.concatenate([steps.direction, steps.direction[-1:]])
     return _flat(
         {
@@ -66,10 +66,10 @@ def _episode(first: episodes.Shown, steps: episodes.Steps) -> Arrays:
     )
 
 
-def write(path: pathlib.Path, told: list[Arrays], first_seed: int) -> None:
-    """Writes episodes, the first of a given seed, to a file that is there whole or not at all."""
-    arrays = {name: np.concatenate([each[name] for each in told]) for name in told[0]}
-    arrays[_LENGTHS] = np.array([len(each["rewards"]) for each in told])
+def write(path: pathlib.Path, rows: list[Arrays], first_seed: int) -> None:
+    """Writes episodes to a file, atomically; `first_seed` is the first one's."""
+    arrays = {name: np.concatenate([each[name] for each in rows]) for name in rows[0]}
+    arrays[_LENGTHS] = np.array([len(each["rewards"]) for each in rows])
     arrays[_SEED] = np.array(first_seed)
     archives.write(path, arrays)
 
@@ -100,7 +100,7 @@ def read(path: pathlib.Path, first_seed: int) -> Iterator[Arrays]:
 
 
 def nested(arrays: Arrays) -> dict[str, Any]:
-    """Returns arrays by name as dicts within each other."""
+    """Turns names such as "infos/qpos" into nested dicts."""
     made: dict[str, Any] = {}
     for name, array in arrays.items():
         *outer, last = name.split("/")
@@ -112,7 +112,7 @@ def nested(arrays: Arrays) -> dict[str, Any]:
 
 
 def _flat(values: Any, name: str = "") -> Arrays:
-    """Undoes `nested`."""
+    """Inverse of `nested`."""
     if not isinstance(values, dict):
         return {name: np.asarray(values)}
     parts = [_flat(value, f"{name}/{key}" if name else key) for key, value in values.items()]

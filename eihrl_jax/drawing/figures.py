@@ -54,7 +54,7 @@ def save(figure: matplotlib.figure.Figure, path: pathlib.Path) -> None:
 
 
 def attempt(path: pathlib.Path, draw: Callable[[], object]) -> bool:
-    """Draws a picture, or says in one line why there is none: numbers don't depend on it.
+    """Draws a picture, or prints in one line why it can't: a failure must not lose numbers.
 
     Returns:
       Whether it has been drawn.

@@ -1,4 +1,4 @@
-"""What a robot's body does in an environment: it is put somewhere, moves among walls, may fall."""
+"""The robot's body in an environment: start poses, movement among walls, falls."""
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ def draw_start(
     key: Key[Array, ""],
     jitter: float,
 ) -> engine_lib.PhysicsState:
-    """Returns the robot as `draw_pose` does, but no part of it in a wall.
+    """Draws a start pose as `draw_pose` does, with no part of the robot in a wall.
 
     Where there is too little room for the first pose that is drawn, others are tried, turned and
     moved inside the cell; where there is too little for all, the least deep is taken.
@@ -64,7 +64,7 @@ def draw_start(
 def draw_pose(
     engine: engine_lib.Engine, xy: Float[Array, "2"], key: Key[Array, ""]
 ) -> engine_lib.PhysicsState:
-    """Returns the standing robot at `xy`, turned at random, its joints a little off."""
+    """Draws a start pose at `xy`: the start posture with random heading and noise on the joints."""
     robot, model = engine.robot, engine.model
     yaw_key, qpos_key, qvel_key = jax.random.split(key, 3)
 

@@ -1,7 +1,7 @@
-"""Steps of the low level as they are stored, to be learned from under any direction.
+"""The low level's stored steps, which can be relabelled with any direction.
 
-Physics doesn't depend on the subgoal, so a stored step can be looked at again as if another
-direction had been asked for (`relabel`, `restart`); `transition` then pays it accordingly.
+Physics doesn't depend on the subgoal, so a stored step can be turned into one with another
+direction (`relabel`, `restart`); `transition` then computes the reward for it.
 """
 
 import jax.numpy as jnp
@@ -21,8 +21,9 @@ class Experience(struct.PyTreeNode):
       obs: before the step.
       ctrl: float32 [nu], controls in [-1, 1].
       step_xy: float32 [2], the torso's movement, units.
-      outcome: how the step ended: in a fall or a breakdown, with a new subgoal, how upright.
-      next_obs: after the step, and already of a subgoal that was given after it.
+      outcome: whether the step ended in a fall or an unstable simulation, or with a new subgoal,
+        and how upright the robot was.
+      next_obs: after the step, with the new subgoal if one was given.
     """
 
     obs: low_obs.LowObs
@@ -33,9 +34,9 @@ class Experience(struct.PyTreeNode):
 
 
 def of_step(before: base.EnvState, ctrl: Float[Array, " nu"], after: base.EnvState) -> Experience:
-    """Returns what is to be stored of a step, from the environment before and after it.
+    """Returns the step between two states of an environment, to be stored.
 
-    `after` may already be reset: its final observation and its metrics are still of the step.
+    `after` may be reset already: its final observation and its metrics are those of the step.
     """
     return Experience(
         obs=before.obs,
@@ -51,8 +52,8 @@ def of_step(before: base.EnvState, ctrl: Float[Array, " nu"], after: base.EnvSta
 
 
 def relabel(experience: Experience, direction: Int[Array, ""]) -> Experience:
-    """Returns a stored step as if `direction` had been asked for; physics doesn't depend on it."""
-    # After a switch the robot follows another subgoal, whatever the one before was.
+    """Returns a stored step with another direction, at the same displacement and time left."""
+    # After a switch the next subgoal's direction stays: it doesn't depend on the one before.
     next_direction = jnp.where(
         experience.outcome.is_switch, experience.next_obs.direction, direction
     ).astype(jnp.int32)
@@ -65,13 +66,14 @@ def relabel(experience: Experience, direction: Int[Array, ""]) -> Experience:
 def restart(
     experience: Experience, direction: Int[Array, ""], robot: robot_lib.Robot
 ) -> Experience:
-    """Returns a stored step as if `direction` had been asked for just before it.
+    """Returns a stored step as the first one of a new subgoal in `direction`.
 
-    Unlike those of `relabel`, such steps are what the robot meets: nobody has come far sideways.
+    Unlike `relabel` this makes situations that occur in use: the displacement is zero, instead of
+    perhaps far to the side of the new direction.
     """
     k, zero = robot.steps_per_subgoal, jnp.zeros(2)
     obs, next_obs = experience.obs, experience.next_obs
-    # As the first of the subgoal's k steps, so it can't be the one after which subgoals change.
+    # The first of k steps, so it isn't the one after which the subgoal changes.
     return experience.replace(
         outcome=experience.outcome.replace(is_switch=jnp.zeros((), bool)),
         obs=obs.replace(direction=direction, displacement_xy=zero, time_left=jnp.float32(1.0)),
@@ -90,12 +92,12 @@ def transition(
     reward_options: low_config.LowReward,
     gamma: float,
 ) -> base.Transition:
-    """Returns a stored step as the learner sees it: features, action, reward, discount."""
+    """Converts a stored step to the learner's features, action, reward and discount."""
     obs = experience.obs
     return base.Transition(
         obs=low_obs.features(obs, robot, input_options),
         action=low_obs.action_from_ctrl(experience.ctrl, obs, robot, input_options),
-        # Computed anew: the environment paid for the direction that it had asked for.
+        # Computed here, because the environment's reward was for the original direction.
         reward=low_reward.reward(
             obs,
             experience.next_obs,

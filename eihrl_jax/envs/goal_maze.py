@@ -1,4 +1,4 @@
-"""A robot in a maze, one control step at a time, that is told where it is and where its goal is.
+"""A robot in a maze that observes its own position and its goal; a step is a control step.
 
 What learners without a picture know and do: flat DroQ, HIGL, HRAC, HIRO and HESS. The task is that
 of the other mazes (`task`), but they know more than ours does: their own position and the goal's.
@@ -119,7 +119,7 @@ class GoalMaze:
         return self._state(inner, base.Outcome.of_reset(), next_key)
 
     def step(self, state: EnvState, action: Float[Array, " nu"]) -> EnvState:
-        """Advances one control step; an episode that is over rests, and pays nothing."""
+        """Advances one control step; after the end nothing moves, and the reward is 0."""
         inner = state.inner
         maze = task.drawn_maze(self.table, inner.nav)
         physics, is_broken = body_lib.move(self.engine, inner.physics, action, maze, ~state.is_over)
@@ -137,7 +137,7 @@ class GoalMaze:
         return wrappers.rest_if_over(state, self._state(inner, outcome, state.key))
 
     def observe(self, nav: task.Navigation, physics: engine_lib.PhysicsState) -> base.GoalObs:
-        """Returns what is known at a moment; the decisions of `nav` are control steps."""
+        """Returns the observation; the decisions of `nav` count control steps here."""
         xy, success = physics.qpos[:2], task.success(self.table, nav)
         # Once all goals are visited the robot's own place is shown as goal, as the reward has it.
         goal_xy = jnp.where(success == 1.0, xy, task.current_goal_xy(self.table, nav, xy))

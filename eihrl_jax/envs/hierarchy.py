@@ -1,7 +1,7 @@
-"""The two levels put together: a direction from above becomes k steps below (paper, Sec. 2).
+"""Both levels together: a direction of the high level becomes k control steps (paper, Sec. 2).
 
-With a low level in it, a robot with physics is an environment of decisions like the oracle's:
-whatever chooses directions there chooses them here.
+A robot with physics and its low level is an environment whose actions are directions, like oracle
+movement: so the same high level acts in both.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ LowPolicy: TypeAlias = Callable[[low_obs.LowObs, Key[Array, ""]], Float[Array, "
 def getting_up(
     walk: LowPolicy, stand: LowPolicy, robot: robot_lib.Robot, standing: float
 ) -> LowPolicy:
-    """Returns a low level that walks, and stands up where it is down.
+    """Returns a low level that walks, and stands up while the robot is down.
 
     Args:
       walk: acts while the robot is up.
@@ -46,7 +46,7 @@ class Trace(struct.PyTreeNode):
     Attributes:
       qpos: float32 [k, nq], the robot after each of them.
       is_fallen: bool [k], whether it lay on the ground after it.
-      is_running: bool [k], whether the episode went on through it; at rest `qpos` stays the same.
+      is_running: bool [k], whether the episode wasn't over before it; after the end `qpos` stays.
     """
 
     qpos: Float[Array, "k nq"]
@@ -96,7 +96,7 @@ class Hierarchy:
     def trace(
         self, state: physics_maze.EnvState, action: Int[Array, ""]
     ) -> tuple[physics_maze.EnvState, Trace]:
-        """Follows the direction `action` for one subgoal; also returns the way there."""
+        """Follows the direction `action` for one subgoal; also returns the path."""
         next_key, low_key = jax.random.split(state.key)
         subgoal, body = self.env.begin(state, action)
 
@@ -110,9 +110,9 @@ class Hierarchy:
             )
             return moved, step
 
-        # All k steps, also where the episode ends early: then the robot rests, at no cost in C.
+        # Always k steps; after an early end the robot rests, which costs nothing in the C engine.
         keys = jax.random.split(low_key, self.env.robot.steps_per_subgoal)
         body, trace = jax.lax.scan(advance, body, keys)
-        # Paid along the whole way, so that a goal on it counts.
+        # The whole path counts, so that goals along it are reached.
         state = self.env.end(state.replace(key=next_key), body, trace.qpos[:, :2])
         return state, trace

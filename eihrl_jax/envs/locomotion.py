@@ -237,7 +237,7 @@ class Locomotion:
     def _draw_direction(
         self, room: Int[Array, ""], xy: Float[Array, "2"], key: Key[Array, ""]
     ) -> Int[Array, ""]:
-        """Draws any direction; in a corridor one without a wall in the cell ahead."""
+        """Draws a direction uniformly; in corridors only those without a wall in the next cell."""
         drawn = jax.random.randint(key, (), 0, base.NUM_DIRECTIONS)
         if not self._has_corridors:
             return drawn

@@ -1,4 +1,4 @@
-"""The low level's observation, and how its network sees it and acts.
+"""The low level's observation, its features, and the conversion between actions and controls.
 
 In the direction's frame the world is turned such that the subgoal points along x+, so the network
 learns one direction only. In the canonical frame the robot's parts are also renamed by its body's
@@ -24,7 +24,7 @@ from eihrl_jax.robots import symmetry as symmetry_lib
 
 
 class LowObs(struct.PyTreeNode):
-    """What the low level knows. P: size of the proprioception.
+    """The low level's observation. P: size of the proprioception.
 
     Attributes:
       proprioception: float32 [P], qpos without x and y, then qvel; units, radians, per second.
@@ -116,7 +116,7 @@ def action_from_ctrl(
     robot: robot_lib.Robot,
     options: low_config.LowInput,
 ) -> Float[Array, " nu"]:
-    """Undoes `ctrl_from_action`."""
+    """Inverse of `ctrl_from_action`."""
     if robot.root == "slide" and options.frame != "world":
         pushes = rotations.to_direction_frame(ctrl[:2], obs.direction)
         ctrl = jnp.concatenate([pushes, ctrl[2:]])

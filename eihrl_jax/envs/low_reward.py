@@ -1,4 +1,4 @@
-"""What the low level is paid for: every step towards the subgoal (paper, Sec. 2, eq. 1)."""
+"""The low level's reward for steps towards the subgoal (paper, Sec. 2, eq. 1)."""
 
 import jax.numpy as jnp
 from flax import struct
@@ -11,12 +11,12 @@ from eihrl_jax.ops import rotations
 
 
 class StepOutcome(struct.PyTreeNode):
-    """How a control step ended, as far as it is paid for.
+    """How a control step ended, as far as the reward depends on it.
 
     Attributes:
-      terminated: in a fall or a breakdown.
-      is_switch: with a new subgoal.
-      upright: this upright, see `recovery.uprightness`.
+      terminated: the robot fell or the simulation became unstable.
+      is_switch: a new subgoal was given.
+      upright: how upright the robot is, see `recovery.uprightness`.
     """
 
     terminated: Bool[Array, ""]
@@ -32,25 +32,26 @@ def reward(
     options: low_config.LowReward,
     steps_per_subgoal: int,
 ) -> Float[Array, ""]:
-    """Computes what one control step pays: for following the subgoal, and for standing.
+    """Computes the reward of one control step, for following the subgoal and for standing.
 
-    An anchored subgoal may begin away from where it counts from. That is charged in advance, since
-    the way back is paid for: else a robot would earn by going too far, and then by coming back.
+    An anchored subgoal may begin away from its origin. The potential of that displacement is added
+    when the subgoal is given, because the way back to the line is rewarded: otherwise a robot would
+    gain by going too far and coming back.
 
     Args:
       obs: before the step, with the subgoal that was to be followed.
       next_obs: after it, with the next subgoal if one was given.
       step_xy: float32 [2], the step's movement, units.
       outcome: how it ended.
-      options: scale and prices.
+      options: weights of the terms.
       steps_per_subgoal: control steps per subgoal.
     """
-    paid = step_reward(obs, step_xy, outcome.terminated, options, steps_per_subgoal)
-    debt = options.scale * _potential(
+    following = step_reward(obs, step_xy, outcome.terminated, options, steps_per_subgoal)
+    offset = options.scale * _potential(
         next_obs.displacement_xy, next_obs.time_left, next_obs.direction, options
     )
     is_given = outcome.is_switch & ~outcome.terminated
-    return paid + jnp.where(is_given, debt, 0.0) + options.standing * outcome.upright
+    return following + jnp.where(is_given, offset, 0.0) + options.standing * outcome.upright
 
 
 def step_reward(
@@ -68,14 +69,14 @@ def step_reward(
     Args:
       obs: before the step, with the subgoal that was to be followed.
       step_xy: float32 [2], the step's movement, units.
-      terminated: the step ended in a fall or a breakdown.
-      options: scale, prices of drift and falls, and whether a full cell is enough.
+      terminated: the robot fell or the simulation became unstable.
+      options: scale, weights of drift and falls, and the reward beyond one cell.
       steps_per_subgoal: control steps per subgoal.
 
     Source: paper, eq. 1.
     Differs from the paper: drift, stop and falls are options, off in preset `paper`.
     """
-    # A difference of potentials: going back takes away what going there has paid.
+    # A difference of potentials: going back takes away the reward of going there.
     left = obs.time_left - 1.0 / steps_per_subgoal
     after = _potential(obs.displacement_xy + step_xy, left, obs.direction, options)
     gain = after - _potential(obs.displacement_xy, obs.time_left, obs.direction, options)
@@ -88,10 +89,10 @@ def _potential(
     direction: Int[Array, ""],
     options: low_config.LowReward,
 ) -> Float[Array, ""]:
-    """Returns the worth of a displacement with a share `left` of the subgoal's time left."""
+    """Returns the potential of a displacement with a share `left` of the subgoal's time left."""
     # In the frame of the subgoal, along is g . d of eq. 1.
     along, lateral = rotations.to_direction_frame(xy, direction)
-    # Progress counts in full up to here.
+    # Progress counts fully up to this distance, units.
     enough = base.CELL * (1.0 - left) if options.is_paced else base.CELL
     beyond = jnp.maximum(along - enough, 0.0)
     along += (options.beyond_cell - 1.0) * beyond

@@ -52,7 +52,7 @@ class Body(struct.PyTreeNode):
 
 
 class Subgoal(struct.PyTreeNode):
-    """What stays as it is while a subgoal is followed.
+    """What stays constant while a subgoal is followed.
 
     Attributes:
       maze: the episode's maze with its door open.
@@ -187,7 +187,7 @@ class PhysicsMaze:
         return subgoal, inner.body.replace(is_running=~state.is_over, steps_left=steps_left)
 
     def low_obs(self, subgoal: Subgoal, body: Body) -> low_obs.LowObs:
-        """Returns what the low level knows, see `low_obs.observe`."""
+        """Returns the low level's observation, see `low_obs.observe`."""
         return low_obs.observe(
             body.physics, subgoal.start_xy, body.steps_left, subgoal.direction, self.robot
         )
@@ -217,7 +217,7 @@ class PhysicsMaze:
         )
 
     def end(self, state: EnvState, body: Body, path_xy: Float[Array, "T 2"]) -> EnvState:
-        """Ends a decision: pays for it, counts it, and looks around.
+        """Ends a decision: counts it, computes its reward and updates the map.
 
         Args:
           state: before the decision.

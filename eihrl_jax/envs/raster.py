@@ -241,7 +241,7 @@ def draw_map(
 
 
 def _is_unvisited(codes: UInt8[Array, "*k"], visited: Bool[Array, "9"]) -> Bool[Array, "*k"]:
-    """Returns which cells belong to a goal that hasn't been paid."""
+    """Returns which cells belong to an unvisited goal."""
     unvisited = _pack_bits(~visited) << 1  # bit g for goal g, bit 0 for cells without goal
     return ((unvisited >> (codes % maze_lib.WALL).astype(jnp.uint32)) & 1).astype(bool)
 

@@ -1,4 +1,4 @@
-"""Subgoal statistics: how evenly a low level carries out its subgoals (paper, Definition 3.1)."""
+"""Subgoal statistics: how accurately a low level follows subgoals (paper, Definition 3.1)."""
 
 import dataclasses
 import math
@@ -17,16 +17,16 @@ FILE, POSTURES = "subgoals.json", "postures.npz"
 """Names of the files in which a measurement keeps its figures and its posture bank."""
 
 OPEN, ROOMS, CORRIDORS = "open floor", "random rooms", "corridors"
-"""Surroundings in which low levels are measured; in corridors of one cell's width subgoals are
-anchored and directions free."""
+"""Surroundings in which low levels are measured. In corridors, one cell wide, subgoals are anchored
+and only directions without a wall ahead are drawn."""
 
 DRIFT = "drift"
-"""Under which name a measurement holds the `Drift` of subgoals that follow each other."""
+"""Key of the list of `Drift` in a measurement's figures."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Statistics:
-    """How a robot carries out random subgoals in one surrounding, free of walls in its way.
+    """How accurately a robot follows random subgoals in one kind of surroundings.
 
     Attributes:
       num_subgoals: number of subgoals begun upright.
@@ -41,8 +41,8 @@ class Statistics:
       lateral_distance: the same of `lateral`.
       falls: per 1,000 subgoals begun upright.
       recovered: share of the falls after which the robot stood again; NaN without falls.
-      recovery_seconds: median time that took; NaN without recoveries.
-      breakdowns: of the simulation, per 1,000 subgoals.
+      recovery_seconds: median time until then; NaN without recoveries.
+      breakdowns: unstable simulations per 1,000 subgoals.
     """
 
     num_subgoals: int
@@ -67,7 +67,7 @@ class Statistics:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Drift:
-    """Where in their cells robots are after subgoals that followed each other on open floor.
+    """Offsets of robots from the centres of their cells after several subgoals on open floor.
 
     Attributes:
       anchored: whether their subgoals were, see `task.anchor`.

@@ -1,4 +1,4 @@
-"""What follows the end of an episode: a new one, or rest."""
+"""After the end of an episode: start a new one, or stay at rest."""
 
 import dataclasses
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from eihrl_jax.ops import tree
 def rest_if_over(
     state: base.EnvState[InnerT, ObsT], following: base.EnvState[InnerT, ObsT]
 ) -> base.EnvState[InnerT, ObsT]:
-    """Returns `following`, but of an episode that is over `state` again, which pays nothing more.
+    """Returns `following`; for an episode that is over, `state` again with reward 0.
 
     Args:
       state: before a step.

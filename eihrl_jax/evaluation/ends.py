@@ -1,4 +1,4 @@
-"""Where the subgoals of a measured low level ended: by direction, and as a law."""
+"""End points of a measured low level: by direction, and by condition."""
 
 import numpy as np
 from jaxtyping import Float
@@ -23,7 +23,7 @@ def by_direction(steps: measure.Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
 
 
 def law(steps: measure.Steps) -> end_points.EndPoints:
-    """Returns the ends of all subgoals that no wall was in the way of, also those in a fall.
+    """Returns the end points of all subgoals without a wall in the way, falls included.
 
     Args:
       steps: on the host.

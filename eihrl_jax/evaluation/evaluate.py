@@ -28,7 +28,7 @@ class _Prepared:
 
 
 class _Needs(NamedTuple):
-    """What a high level needs of its environment."""
+    """The environment that a high level needs."""
 
     view: raster.View
     anchored: bool
@@ -219,7 +219,7 @@ def _envs(
 
 
 def _check_names(agents: Sequence[results.Agent], names: Sequence[str]) -> None:
-    """Makes sure that no agent's files take the place of another's.
+    """Checks that no two agents have the same file names.
 
     Raises:
       base.UserError: two agents, or two of them in two mazes, would have the same name in the

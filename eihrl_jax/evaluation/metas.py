@@ -1,4 +1,4 @@
-"""What a policy's meta.json must say for the policy to be used; all else is passed over.
+"""The entries of a policy's meta.json that are needed to use the policy; others are ignored.
 
 A folder may come from a stranger: checksums tell that it is whole, not that it makes sense.
 """
@@ -32,7 +32,7 @@ class Movement:
 
 @dataclasses.dataclass(frozen=True)
 class High:
-    """Of a high level; defaults are those of policies from before these were told."""
+    """Of a high level; defaults are for older policies without these entries."""
 
     view: raster.View
     network: high_config.Network
@@ -85,13 +85,13 @@ def read(meta: reading.Value, schema: type[SchemaT], path: pathlib.Path) -> Sche
     """
     if not isinstance(meta, dict):
         raise base.UserError(f"{path}: meta.json: {meta!r:.80} must be an object of entries")
-    told = {field.name: field for field in dataclasses.fields(schema)}
-    for name, field in told.items():
+    known = {field.name: field for field in dataclasses.fields(schema)}
+    for name, field in known.items():
         if field.default is dataclasses.MISSING:
             policies.entry(meta, name, path)
 
     # By way of JSON, so that it is checked by what checks configs.
-    chosen = {name: meta[name] for name in told if name in meta}
+    chosen = {name: meta[name] for name in known if name in meta}
     return codec.from_json(schema, json.dumps(chosen), source=f"{path}: meta.json")
 
 

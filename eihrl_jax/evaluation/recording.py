@@ -1,4 +1,4 @@
-"""One episode, recorded step by step: what an animation is drawn of."""
+"""Recordings of episodes, from which animations are drawn."""
 
 import dataclasses
 import math
@@ -58,7 +58,7 @@ class Decision(struct.PyTreeNode):
 def of_episode(
     maze: maze_lib.Maze, decisions: Decision, obs: jax.ShapeDtypeStruct | None
 ) -> Recording:
-    """Puts together the recording of one episode, in a maze whose door is open.
+    """Makes the recording of one episode, in a maze whose door is open.
 
     Args:
       maze: the maze.

@@ -53,7 +53,7 @@ def measure(
     env = locomotion.Locomotion(
         engine,
         rooms.open_floor(),
-        reward_options=low_config.LowReward(),  # of no account: nothing is learned here
+        reward_options=low_config.LowReward(),  # unused: nothing is learned here
         episode_steps=(AFTER[-1] + 2) * k,
         ends_at_fall=False,
         thrown_share=1.0,

@@ -1,4 +1,4 @@
-"""The random numbers of evaluated episodes: each has its own, whatever runs beside it."""
+"""Random keys of evaluated episodes, which don't depend on what else is evaluated."""
 
 import zlib
 

@@ -1,4 +1,4 @@
-"""Where evaluated episodes were: the bins that their robots came through, and where they ended."""
+"""Where robots were in evaluated episodes: the bins they visited, and where they ended."""
 
 import jax.numpy as jnp
 from flax import struct
@@ -24,14 +24,14 @@ class Whereabouts(struct.PyTreeNode):
 
     @classmethod
     def at_the_start(cls, num_episodes: int, num_rows: int, num_columns: int) -> "Whereabouts":
-        """Returns those of episodes that haven't made a decision yet."""
+        """Returns those of episodes before their first decision."""
         return cls(
             was_there=jnp.zeros((num_episodes, num_rows, num_columns), bool),
             xy=jnp.zeros((num_episodes, 2)),
         )
 
     def after(self, trace: hierarchy.Trace) -> "Whereabouts":
-        """Adds the way of a decision of one episode; what comes after its end doesn't count."""
+        """Adds the path of one episode's decision, up to the episode's end."""
         num_rows, _ = self.was_there.shape
         side = base.CELL / BINS_PER_CELL
         # Rows count southwards from the maze's upper left corner, against y.

@@ -1,4 +1,4 @@
-"""Processes that are forked while JAX is running, in which it would hang: they are told apart."""
+"""Detects processes that were forked while JAX was running, in which it would hang."""
 
 import os
 import threading

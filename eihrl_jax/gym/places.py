@@ -23,10 +23,10 @@ START, GOAL, MASK = "start_cell", "goal_cell", "reset_mask"
 """Options of `reset`."""
 
 _OWN, _MOVED = 0, 1
-"""Rows of `HostMaze.stacked`: with its own goals, and without, for a goal in some other place."""
+"""Rows of `HostMaze.stacked`: the maze with its own goals, and without any, for a given goal."""
 
 Options: TypeAlias = dict[str, Any]
-"""What is asked of a reset; Gymnasium lets it be anything."""
+"""Gymnasium's options of `reset`, whose values may be anything."""
 
 
 class Places(struct.PyTreeNode):

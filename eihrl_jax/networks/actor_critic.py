@@ -1,4 +1,4 @@
-"""The high level's network by the kind that its options name."""
+"""Builds the high level's network from its options."""
 
 import flax.linen as nn
 
@@ -25,7 +25,7 @@ def takes_any_map(network: nn.Module) -> bool:
 
 
 def in_use(network: nn.Module) -> nn.Module:
-    """Returns the network without what only training is limited by.
+    """Returns the network without the limits that only training needs.
 
     Training has a small map, on which ways are short; elsewhere they may be as long as they are.
     """

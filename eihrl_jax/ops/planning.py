@@ -1,4 +1,4 @@
-"""Planning on a grid: value iteration (Tamar et al. 2016), and shortest ways to what is worth most.
+"""Planning on a grid: value iteration (Tamar et al. 2016), and shortest paths to valuable cells.
 
 Grids come first and batches last, so that what happens in a cell happens in all maps of a batch at
 once, along a long stretch of memory. Ways are searched on boards that hold 32 cells in a word. No

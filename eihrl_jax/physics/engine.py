@@ -1,4 +1,4 @@
-"""The interface behind which both physics engines stand; environments know nothing else."""
+"""The interface of both physics engines; environments use nothing else."""
 
 from typing import Protocol, runtime_checkable
 

@@ -179,7 +179,7 @@ def _add_surroundings(spec: mujoco.MjSpec, cell: float, num_walls: int) -> None:
 
 
 def _unusable(robot: robot_lib.Robot, error: Exception) -> base.UserError:
-    """Says in one line what MuJoCo says in several."""
+    """Shortens MuJoCo's error message to one line."""
     return base.UserError(f"robot {robot.name!r}: {robot.mjcf}: {' '.join(str(error).split())}")
 
 

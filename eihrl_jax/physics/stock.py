@@ -20,7 +20,7 @@ _FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 @dataclasses.dataclass(frozen=True)
 class Adapted:
-    """What is left to do once the model is compiled.
+    """Changes that remain to be made once the model is compiled.
 
     Attributes:
       is_ours: the file says in `contype` whether floor or walls are met, see `docs/robots.md`.
@@ -34,7 +34,7 @@ class Adapted:
 
 
 def adapt(spec: mujoco.MjSpec, robot: robot_lib.Robot) -> Adapted:
-    """Leaves nothing in `spec` but the robot, such that floor and walls can be added.
+    """Removes everything but the robot from `spec`, so that floor and walls can be added.
 
     Args:
       spec: as its file has it; changed in place.

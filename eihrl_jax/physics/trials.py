@@ -1,4 +1,4 @@
-"""What only a simulation tells of a robot: does it do what its description allows?"""
+"""Trials of a robot in simulation: does it behave as its description says?"""
 
 import mujoco
 import numpy as np
@@ -35,7 +35,7 @@ _TOLERANCE = 1.02
 
 
 def check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
-    """Checks the numbers of a description on which it hangs that walls hold the robot.
+    """Checks the numbers of a description that ensure that walls hold the robot.
 
     Args:
       model: its scene.
@@ -49,7 +49,7 @@ def check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
 
 
 def faults(model: mujoco.MjModel, robot: robot_lib.Robot) -> list[str]:
-    """Returns all that a simulation says against a description, each in a line.
+    """Returns all faults of a description that a simulation shows, one line each.
 
     Args:
       model: its scene.
@@ -79,7 +79,7 @@ def faults(model: mujoco.MjModel, robot: robot_lib.Robot) -> list[str]:
 
 
 def _of_walls(model: mujoco.MjModel, robot: robot_lib.Robot) -> list[str]:
-    """Returns why walls wouldn't hold a robot, each in a line."""
+    """Returns reasons why walls wouldn't hold a robot, one line each."""
     found = []
     reach = posture.reach(model, robot)
     if reach > _TOLERANCE * robot.reach:

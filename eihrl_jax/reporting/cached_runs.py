@@ -1,4 +1,4 @@
-"""Runs of commands that can be stopped and called again: names, and each is made once."""
+"""Runs of commands that can be stopped and started again: each run has a name and is made once."""
 
 import dataclasses
 import functools

@@ -36,7 +36,7 @@ def _policies() -> tables.Table:
     for group, names in groups.items():
         label = names[0] if len(names) == 1 else f"{names[0]} to {names[-1].rpartition('-')[2]}"
         body.append([label, *rows[group]])
-    header = ["name", "level", "robot", "trained in", "what it is"]
+    header = ["name", "level", "robot", "trained in", "description"]
     return tables.Table("policies", header, body, num_words=len(header))
 
 
@@ -66,7 +66,7 @@ def _robots() -> tables.Table:
         ]
         for name in robots.NAMES
     ]
-    header = ["name", "what it is", "low level", "cell, m"]
+    header = ["name", "description", "low level", "cell, m"]
     return tables.Table("robots", header, body, num_words=3)
 
 

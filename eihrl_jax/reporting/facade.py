@@ -1,4 +1,4 @@
-"""Both levels by name, in any maze, in a few lines of Python: load, run, look."""
+"""The Python interface in a few lines: load both levels by name and run them in any maze."""
 
 import dataclasses
 import functools
@@ -23,7 +23,7 @@ BEST = "best"
 """Name for the high level that `evaluate` takes by default."""
 
 HIGH_STREAM = 0x6869_6768
-"""Folded into a state's key for the high level's draws, which must not be those of the robot."""
+"""Folded into a state's key for the high level, so that its draws differ from the robot's."""
 
 
 def load(
@@ -126,17 +126,17 @@ class LoadedMaze:
         return self.env.reset(key, maze)
 
     def step(self, state: physics_maze.EnvState) -> physics_maze.EnvState:
-        """Makes one decision and walks it; a state that is over stays as it is."""
+        """Makes one decision and follows it; a state that is over stays as it is."""
         return self.trace(state)[0]
 
     def trace(
         self, state: physics_maze.EnvState
     ) -> tuple[physics_maze.EnvState, recording.Decision]:
-        """Makes one decision and walks it; also returns the way there."""
+        """Makes one decision and follows it; also returns the path."""
         key = jax.random.fold_in(state.key, HIGH_STREAM)
         action = self.levels.high.policy(state.obs, key)
         following, trace = self.env.trace(state, action)
-        # Over is over: numbers of an episode stay while others beside it go on.
+        # The state of an episode that is over stays while others of a batch go on.
         following = tree.where(state.is_over, state, following)
         return following, recording.Decision.of(state.obs, action, trace)
 
@@ -176,7 +176,7 @@ class Episode:
     """A finished episode.
 
     Attributes:
-      success: achieved goals / total goals.
+      success: share of the goals that were reached.
       num_decisions: that it took.
       has_fallen: whether the robot ever fell.
       recording: all of its moves.

@@ -17,7 +17,7 @@ class Quantity:
     """What a metric measures.
 
     Attributes:
-      label: what it is, with its unit.
+      label: of the axis, with the unit.
       scale: factor on the values, e.g. 100 for per cent.
       y_range: all that it can be, after scaling, so that pictures of several runs can be compared.
       digits: decimals that are worth telling.
@@ -36,7 +36,7 @@ QUANTITIES = {
     "lateral_std": Quantity("displacement sideways, std, units", digits=2),
     "falls": Quantity("falls per 1,000 subgoals", digits=1),
 }
-"""By the last part of a metric's name; what tells how well a run does."""
+"""Quantities by the last part of a metric's name: those that measure performance."""
 
 _WHEN = {"while training": "", "evaluation": "eval/", "evaluation, walking": "walking/"}
 
@@ -90,7 +90,7 @@ def renew(run: pathlib.Path) -> None:
 
 
 def _is_dense(run: pathlib.Path) -> bool:
-    """Returns whether what a run is paid is another thing than its success."""
+    """Returns whether a run's reward differs from its success."""
     options = run_folder.read_options(run)
     return "dense" in (options.get("reward"), options.get("task.reward"))
 
@@ -100,7 +100,7 @@ X_LABELS = {"num_decisions": "decisions", "step": "steps"}
 
 
 def x_of(columns: tuple[str, ...]) -> str:
-    """Returns the column that tells best how long a run has learned."""
+    """Returns the best column for the horizontal axis, such as steps."""
     return "num_decisions" if "num_decisions" in columns else "step"
 
 

@@ -1,4 +1,4 @@
-"""Folder of a robot that is tried out: its description, and a picture of it in its cell."""
+"""Folder of a robot's trial: its description, and a picture of it in its cell."""
 
 import dataclasses
 
@@ -17,7 +17,7 @@ from eihrl_jax.storage import writing
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """What was found out about a robot.
+    """The results of trying a robot.
 
     Attributes:
       description: text of the description that was tried out.

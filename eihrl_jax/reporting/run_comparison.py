@@ -17,10 +17,10 @@ Options: TypeAlias = dict[str, Any]
 """A run's options by name, see `run_folder.read_options`."""
 
 _OF_NO_MATTER = ("run", "resume", "coordinator", "num_processes", "process_id", "num_devices")
-"""Options that change nothing of what is learned."""
+"""Options without influence on what is learned."""
 
 _FIRST = ("method", "preset", "robot", "task.maze", "maze", "task.reward", "reward", "task.robot")
-"""Options that say most about a run; others often follow from them."""
+"""Options that are listed first, because others often follow from them."""
 
 
 def plot(config: runs_config.PlotConfig) -> pathlib.Path:
@@ -56,7 +56,7 @@ def plot(config: runs_config.PlotConfig) -> pathlib.Path:
 
 
 def compare(config: runs_config.CompareRunsConfig) -> list[tables.Table]:
-    """Returns a table of the options in which runs differ, and one of what they came to.
+    """Returns a table of the options in which runs differ, and one of their last metrics.
 
     Raises:
       base.UserError: a folder holds no run, or none of them has such a metric.
@@ -91,7 +91,7 @@ def compare(config: runs_config.CompareRunsConfig) -> list[tables.Table]:
 
 
 def _panel(metric: str, groups: Mapping[str, Sequence[curves.Curve]]) -> curves.Panel:
-    """Returns the panel of a metric, which says what it is of."""
+    """Returns the panel of a metric, with what it measures as its label."""
     quantity = learning_curve.quantity_of(metric)
     when, _, _ = metric.rpartition("/")
     label = quantity.label if not when or quantity.label == metric else f"{when}: {quantity.label}"
@@ -105,7 +105,7 @@ def _shared(columns: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
 
 
 def _telling(columns: Iterable[tuple[str, ...]]) -> list[str]:
-    """Lists the metrics that tell how well runs do: those of evaluations, where there are some."""
+    """Lists the metrics of performance: those of evaluations, if there are any."""
     there = dict.fromkeys(name for names in columns for name in names)
     metrics = [name for name in there if name.rpartition("/")[2] in learning_curve.QUANTITIES]
     return [name for name in metrics if "/" in name] or metrics
@@ -123,33 +123,33 @@ def _check_known(name: str, metrics: Iterable[str], columns: Iterable[tuple[str,
 
 
 def _names(options: Mapping[pathlib.Path, Options]) -> dict[pathlib.Path, str]:
-    """Names runs by the options in which they differ, as few as tell them apart.
+    """Names runs by as few options as distinguish them.
 
     The seed isn't one of them: runs that differ in nothing else get the same name.
     """
-    told: list[str] = []
+    chosen: list[str] = []
     for option in _differing(options.values()):
         # Most options follow from a preset: only what divides further is worth telling.
-        finer = [*told, option]
-        if option != "seed" and _num_kinds(options, finer) > _num_kinds(options, told):
-            told = finer
+        finer = [*chosen, option]
+        if option != "seed" and _num_kinds(options, finer) > _num_kinds(options, chosen):
+            chosen = finer
 
-    if not told:
+    if not chosen:
         (name, *others) = (run.name for run in options)
         return dict.fromkeys(options, f"mean of {len(options)} runs" if others else name)
     return {
-        run: ", ".join(f"{option} {_value(own, option)}" for option in told)
+        run: ", ".join(f"{option} {_value(own, option)}" for option in chosen)
         for run, own in options.items()
     }
 
 
 def _num_kinds(options: Mapping[pathlib.Path, Options], told: Sequence[str]) -> int:
-    """Returns how many runs some options tell apart."""
+    """Returns the number of distinct values of some options, taken together."""
     return len({tuple(_value(own, name) for name in told) for own in options.values()})
 
 
 def _differing(options: Iterable[Options]) -> list[str]:
-    """Lists the options in which runs differ, those first that say most."""
+    """Lists the options in which runs differ, those of `_FIRST` first."""
     runs = [*options]
     names = dict.fromkeys(name for run in runs for name in run)
     ordered = [name for name in _FIRST if name in names] + [n for n in names if n not in _FIRST]
@@ -175,7 +175,7 @@ def _last(run: pathlib.Path, columns: tuple[str, ...], metric: str) -> str:
 
 
 def _steps(run: pathlib.Path, columns: tuple[str, ...]) -> str:
-    """Writes how far a run is, in what it counts in."""
+    """Formats a run's steps, in the run's own unit."""
     x = learning_curve.x_of(columns)
     if x not in columns:
         return "0"

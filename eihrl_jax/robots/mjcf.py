@@ -1,4 +1,4 @@
-"""Opens MJCF files, which may come from strangers: what they name lies in their folder or below.
+"""Opens untrusted MJCF files: files that they name must lie in their folder or below.
 
 MuJoCo reads whatever a file names, from wherever it says, and would wait for a pipe for ever. Its
 parser knows no entities but XML's own, and runs nothing.

@@ -13,7 +13,7 @@ Root = Literal["free", "planar", "slide"]
 """How a robot's torso is joined to the world, see `Robot`."""
 
 Sensors = Literal["all", "onboard"]
-"""What a low level is told of its robot's state, see `Robot`."""
+"""Sensors of a robot that its low level observes, see `Robot`."""
 
 
 @limits.dataclass

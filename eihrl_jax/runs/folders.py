@@ -1,4 +1,4 @@
-"""Folders that one process fills: free or not, locked against others."""
+"""Output folders: checks that they are empty, and locks against other processes."""
 
 import contextlib
 import fcntl
@@ -22,17 +22,17 @@ class TakenError(base.UserError):
 
 @contextlib.contextmanager
 def reserved(out: pathlib.Path, task: str = "") -> Iterator[None]:
-    """Makes a folder and keeps other processes out of it, so that nothing can be overwritten.
+    """Creates a folder and locks it against other processes, so that nothing is overwritten.
 
     A folder in which nothing has been written by the end is removed again.
 
     Args:
       out: the folder.
-      task: what it is filled with; where a process with the same task was stopped, its folder is
-        taken up again. Empty: none is.
+      task: describes the content; the folder of a stopped process with the same task is continued.
+        Empty: none is.
 
     Raises:
-      base.UserError: `out` is a file, or a folder with something in it, or being filled.
+      base.UserError: `out` is a file, a folder that isn't empty, or locked by another process.
     """
     _check_empty(out, task)
     with locked(out):
@@ -49,7 +49,7 @@ def reserved(out: pathlib.Path, task: str = "") -> Iterator[None]:
 
 @contextlib.contextmanager
 def locked(out: pathlib.Path) -> Iterator[None]:
-    """Makes a folder if there is none, and keeps other processes out of it.
+    """Creates a folder if it doesn't exist, and locks it against other processes.
 
     A folder that is empty at the end is removed.
 
@@ -61,7 +61,7 @@ def locked(out: pathlib.Path) -> Iterator[None]:
     try:
         yield
     finally:
-        # Unlinked while it is still locked, or another's new lock could be the one removed.
+        # Unlinked while still locked: otherwise the lock of another process could be removed.
         (out / LOCK).unlink(missing_ok=True)
         os.close(lock)
         if not any(out.iterdir()):
@@ -77,10 +77,10 @@ def _check_empty(out: pathlib.Path, task: str) -> None:
 
 
 def check_free(path: pathlib.Path, *, resume: bool) -> bool:
-    """Returns whether a folder holds something, which it only may where a run is to go on.
+    """Returns whether a folder isn't empty, which is allowed only with `resume`.
 
     Raises:
-      UserError: it holds something and `resume` is false, or it is no folder.
+      UserError: it isn't empty and `resume` is false, or it isn't a folder.
     """
     is_taken = holds_something(path)
     if is_taken and not resume:
@@ -89,10 +89,10 @@ def check_free(path: pathlib.Path, *, resume: bool) -> bool:
 
 
 def holds_something(path: pathlib.Path) -> bool:
-    """Returns whether a folder has more in it than what a killed start leaves.
+    """Returns whether a folder holds more than the leftovers of a killed start.
 
     Raises:
-      UserError: it is no folder.
+      UserError: it isn't a folder.
     """
     if not path.exists():
         return False
@@ -103,17 +103,17 @@ def holds_something(path: pathlib.Path) -> bool:
 
 
 def take_lock(path: pathlib.Path) -> int:
-    """Locks the folder for as long as this process lives; a kill gives the lock back.
+    """Locks the folder for as long as this process lives, and returns the lock's file descriptor.
 
     Raises:
-      TakenError: another process has it.
+      TakenError: another process holds the lock.
     """
-    # On the open file, not by its existence: the system releases it when the process dies.
+    # A lock on the open file, not its existence: the system releases it when the process dies.
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     descriptor = os.open(path / LOCK, flags, 0o644)
     with contextlib.suppress(BlockingIOError, FileNotFoundError):
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        # Whoever held it may have removed it since it was opened, and a third may hold a new one.
+        # The former holder may have removed the file since it was opened: then it locks nothing.
         if os.path.samestat(os.fstat(descriptor), (path / LOCK).lstat()):
             return descriptor
     os.close(descriptor)
@@ -121,10 +121,10 @@ def take_lock(path: pathlib.Path) -> int:
 
 
 def check_unlocked(path: pathlib.Path) -> None:
-    """Checks that no other process is writing to a folder, which needn't be there.
+    """Checks that no other process is writing to a folder, which needn't exist.
 
     Raises:
-      TakenError: one is.
+      TakenError: another process is.
     """
     if (path / LOCK).exists():
         os.close(take_lock(path))

@@ -1,4 +1,4 @@
-"""Ctrl-C while a run trains: the piece of work that is under way is ended and kept first."""
+"""Ctrl-C while a run trains: the current piece of work is finished and saved first."""
 
 import contextlib
 import os
@@ -12,22 +12,22 @@ _NOTICE = b"\nstopping as soon as this piece is done and kept; Ctrl-C again stop
 
 
 class Stop:
-    """Whether the user has asked for an end.
+    """Whether the user has pressed Ctrl-C.
 
     Attributes:
       is_asked: set by the first Ctrl-C.
     """
 
     def __init__(self) -> None:
-        """Nobody has asked yet."""
+        """Starts without a request."""
         self.is_asked = False
 
 
 @contextlib.contextmanager
 def deferred() -> Iterator[Stop]:
-    """Turns the first Ctrl-C in the block into a wish that the block looks at when it can.
+    """Turns the first Ctrl-C in the block into a flag, which the block checks when it can.
 
-    The second one interrupts as always. Outside of the main thread, and where a process ignores
+    The second one interrupts as usual. Outside of the main thread, and where a process ignores
     Ctrl-C, nothing changes.
     """
     stop = Stop()
@@ -52,7 +52,7 @@ def deferred() -> Iterator[Stop]:
 
 @contextlib.contextmanager
 def held_back() -> Iterator[None]:
-    """Lets Ctrl-C wait for the end of the block, which is short and does what can't be left undone.
+    """Delays Ctrl-C until the end of the block, which must be short and not be interrupted.
 
     Outside of the main thread, and where a process ignores Ctrl-C, nothing changes.
     """
@@ -71,7 +71,7 @@ def held_back() -> Iterator[None]:
 
 
 def _can_be_asked() -> bool:
-    """Returns whether Ctrl-C comes to this thread, and to a handler that Python knows."""
+    """Returns whether this thread receives Ctrl-C, and the current handler is one of Python's."""
     is_main = threading.current_thread() is threading.main_thread()
     # A shell starts what runs in its background with Ctrl-C ignored.
     return is_main and signal.getsignal(signal.SIGINT) not in (None, signal.SIG_IGN)

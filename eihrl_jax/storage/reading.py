@@ -1,4 +1,4 @@
-"""Reads what may come from strangers: regular files of bounded size, text in UTF-8, JSON and TOML.
+"""Reads untrusted files: regular files of bounded size, text in UTF-8, JSON and TOML.
 
 A pipe or a device under a file's name would block or fill the memory, and an integer of a thousand
 digits or a thousand nested lists end in errors far from their cause. Each is a `UserError` here.

@@ -15,7 +15,7 @@ _MAX_NAME = 255  # bytes, of every common file system
 
 
 def write_text(path: pathlib.Path, text: str) -> None:
-    """Writes a text in UTF-8, see `new_file`; bytes of names that are no text are escaped."""
+    """Writes a text in UTF-8, see `new_file`; undecodable bytes of file names are escaped."""
     with new_file(path) as file:
         file.write(text.encode("utf-8", "backslashreplace"))
 

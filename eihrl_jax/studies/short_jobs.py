@@ -1,4 +1,4 @@
-"""What `faults` disturbs: commands with so little to do that they take seconds, and how they end.
+"""The jobs that `faults` disturbs: commands that take seconds, and how they end.
 
 Each runs in a process of its own, forked off a server that has imported everything beforehand.
 """
@@ -254,7 +254,7 @@ def undisturbed(name: Name, main: Callable[[], object], place: pathlib.Path, see
       seed: of moments and files.
 
     Raises:
-      base.UserError: it can't be finished, or doesn't come to the same twice.
+      base.UserError: it can't be finished, or its results differ between two runs.
     """
     words, chance = shlex.split(_WORDS[name]), random.Random(f"{seed} {name}")
     job = Job(name, main, words, place, chance)
@@ -267,7 +267,7 @@ def undisturbed(name: Name, main: Callable[[], object], place: pathlib.Path, see
 
     difference = job.difference(place / "cold")
     if difference is not None:
-        raise base.UserError(f"{name} doesn't come to the same twice: {difference}")
+        raise base.UserError(f"{name} gives different results when it is repeated: {difference}")
     return job
 
 

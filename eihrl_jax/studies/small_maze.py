@@ -91,7 +91,7 @@ class SmallConfig:
 
 
 def main(config: SmallConfig) -> None:
-    """Trains what is missing, then tells how far each has come.
+    """Trains what is missing, then prints the results of each.
 
     Raises:
       base.UserError: the folder holds something else.

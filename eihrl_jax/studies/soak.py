@@ -154,6 +154,6 @@ def _round(folder: pathlib.Path, seed: int) -> None:
     envs.close()
 
     shutil.rmtree(folder)
-    # Programs are kept for as long as somebody could call them again; here nobody does.
+    # JAX keeps compiled programs for further calls, of which there are none here.
     jax.clear_caches()
     gc.collect()

@@ -127,7 +127,7 @@ _CONVERT = {Floats: real, Integers: count, float: scalar, int: scalar_count}
 
 
 def _converted(name: str, value: Any, hint: Any) -> Any:
-    """Returns a value as its type hint wants it; that of an optional one is part of a union."""
+    """Converts a value to its type hint, which for an optional argument is a union."""
     if typing.get_origin(hint) is Literal:
         checks.one_of(name, value, typing.get_args(hint))
     if value is None and type(None) in typing.get_args(hint):

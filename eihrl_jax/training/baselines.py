@@ -1,4 +1,4 @@
-"""Training of the baselines, whatever the method: in a maze, or in a task of their authors."""
+"""Training of the baselines, of any method: in a maze, or in a task of their authors."""
 
 import dataclasses
 import functools
@@ -129,7 +129,7 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
 
 
 def train(config: config_lib.BaselineConfig, watch: loop.Watch | None = None) -> None:
-    """Trains a baseline in a run folder, or goes on with a run that was stopped.
+    """Trains a baseline in a run folder, or resumes a stopped run.
 
     The run folder ends up with the policy.
 
@@ -230,7 +230,7 @@ class _Job(loop.Job[State]):
         return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
 
     def policy(self, state: State) -> tuple[base.Params, policies.Meta]:
-        """Returns the parameters, and all that is needed to use them."""
+        """Returns the parameters, and the JSON values from which the policy can be rebuilt."""
         meta = {
             "method": self.config.method,
             "maze": self.config.maze,

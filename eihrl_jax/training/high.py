@@ -30,7 +30,7 @@ def train(
     with_physics: base.Environment | None = None,
     watch: loop.Watch | None = None,
 ) -> float:
-    """Trains a high level in a run folder, or goes on with a run that was stopped.
+    """Trains a high level in a run folder, or resumes a stopped run.
 
     The run folder ends up with the policy. In a run of several processes all must call this; the
     first one writes.
@@ -163,7 +163,7 @@ class _Job(loop.Job[LearnerState]):
         return row | {"episodes": float(metrics["episodes"].sum())}  # that ended since the last row
 
     def policy(self, state: LearnerState) -> tuple[base.Params, policies.Meta]:
-        """Returns the parameters, and all that is needed to use them."""
+        """Returns the parameters, and the JSON values from which the policy can be rebuilt."""
         task = self.config.task
         meta = {
             "maze": _title(task),
@@ -212,7 +212,7 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
 
 
 def in_use(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> oracle_maze.OracleMaze:
-    """Returns the maze as a finished policy meets it: where it has a map, that of the whole maze.
+    """Returns the environment as in use after training: with a map of the whole maze, if any.
 
     Args:
       env: the maze of `make_env`.
@@ -281,5 +281,5 @@ def _mazes(task: high_config.Task, seed: int) -> mazes.Maze:
 
 
 def _title(task: high_config.Task) -> str:
-    """Names what is trained in."""
+    """Returns the title of the progress bar."""
     return f"{task.num_rooms} random rooms" if task.num_rooms else task.maze

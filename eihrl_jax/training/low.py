@@ -112,7 +112,7 @@ class _Job(loop.Job[LowState]):
         return _numbers(metrics)
 
     def policy(self, state: LowState) -> tuple[base.Params, policies.Meta]:
-        """Returns the actor's average, and all that is needed to use it."""
+        """Returns the actor's average, and the JSON values from which the policy can be rebuilt."""
         meta = {
             **self.trainer.meta(),
             "num_iterations": int(state.iteration),
@@ -137,7 +137,7 @@ class _Job(loop.Job[LowState]):
 
 
 def train(config: low_config.LowConfig, watch: loop.Watch | None = None) -> None:
-    """Trains a low level in a run folder, or goes on with a run that was stopped.
+    """Trains a low level in a run folder, or resumes a stopped run.
 
     The run folder ends up with the policy, its subgoal statistics and the posture bank. In a run of
     several processes all must call this; the first one writes.

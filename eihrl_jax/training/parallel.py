@@ -1,4 +1,4 @@
-"""Work spread over devices and hosts: one mesh axis, `shard_map`, JAX's own distributed runtime.
+"""Sharding over devices and hosts: one mesh axis, `shard_map`, JAX's distributed runtime.
 
 On CPU, XLA runs the many small operations of a rollout on one core; with as many CPU devices as
 cores (`use_cpu_cores`) every core runs its own share of the workers.
@@ -112,7 +112,7 @@ def make_mesh(num_devices: int | None, **shared: int) -> jax.sharding.Mesh:
 
 
 def init(agent: peg_a2c.PegA2C, seed: int, mesh: jax.sharding.Mesh) -> peg_a2c.LearnerState:
-    """Makes the first state of a learner, every worker on its device."""
+    """Makes the initial state of a learner, every worker on its device."""
     # Made where they belong, instead of on one device and then spread.
     return jax.jit(lambda: agent.init(jax.random.key(seed)), out_shardings=_shardings(mesh))()
 

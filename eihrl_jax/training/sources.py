@@ -1,4 +1,4 @@
-"""What the options of a training name, as files that its run folder keeps, see `runs.sources`."""
+"""Files that the options of a training name, which its run folder keeps, see `runs.sources`."""
 
 import pathlib
 
@@ -20,7 +20,7 @@ def of_maze(maze: mazes.Maze) -> sources.Files:
 
 
 def of_robot(name: str) -> sources.Files:
-    """Returns the description and the model of a robot of one's own; nothing of a shipped one."""
+    """Returns the description and the model of a user's robot; nothing for a shipped one."""
     if name in robots.NAMES:
         return {}
     path = robots.load(name).mjcf

@@ -17,13 +17,13 @@ ORACLE = dataclasses.replace(WALKING, movement="oracle", reward="dense", num_dec
 
 
 @pytest.fixture(scope="module", params=[WALKING, ORACLE], ids=["walking", "oracle"])
-def told(request):
+def recorded(request):
     made = making.make(request.param)
-    return made.env, parts.Rows(made.teller, 2).run(7)
+    return made.env, parts.Rows(made.recorder, 2).run(7)
 
 
-def test_episodes_are_those_of_the_gymnasium_environment(told):
-    env, episodes = told
+def test_episodes_are_those_of_the_gymnasium_environment(recorded):
+    env, episodes = recorded
     for seed, episode in enumerate(episodes, start=7):
         obs, _ = env.reset(seed=seed)
         steps = zip(

@@ -262,7 +262,7 @@ MALFORMED = [
     (YAML.replace("[-1.0, -2.0, 0.0]", "3"), {}, {}, "origin = '3' must be x, y and yaw"),
     (YAML.replace("negate: 0", "negate: [x]"), {}, {}, "negate = \"['x']\" must be 0 or 1"),
     (YAML + "mode: other\n", {}, {}, "mode = 'other' must be one of trinary"),
-    (YAML + "x: !!python/object/apply:os.system ['touch pwned']\n", {}, {}, "has a tag, anchor or alias"),
+    (YAML + "x: !!python/object/apply:os.system ['touch pwned']\n", {}, {}, "YAML has a tag"),
     (YAML + "x: !!binary aGk=\n", {}, {}, "YAML has a tag, anchor or alias at line 7"),
     (YAML + "x: &a [1]\ny: *a\n", {}, {}, "YAML has a tag, anchor or alias at line 7"),
     (YAML + "x: [\n", {}, {}, "not YAML"),

@@ -1,4 +1,4 @@
-"""HESS: a manager explores a learned space of subgoals, a controller goes where it is told.
+"""HESS: a manager explores a learned space of subgoals, a controller goes to them.
 
 Li et al. 2021, Active hierarchical exploration with stable subgoal representation learning.
 """

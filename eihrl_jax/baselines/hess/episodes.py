@@ -16,7 +16,7 @@ class Episodes(struct.PyTreeNode):
       obs: float32 [E, S, F], what was seen; S is T + 1.
       embedding: float32 [E, S, 2], where that lay in the subgoal space when it was stored.
       action: float32 [E, T, A].
-      subgoal: float32 [E, J, 2], where the controller was told to go, in the subgoal space.
+      subgoal: float32 [E, J, 2], the controller's subgoals, in the subgoal space.
       loss: float32 [E, T], the representation's loss of each step when it was last drawn.
       length: int32 [E], steps; 0 where there is no episode yet.
       position: int32, where the next episode goes.
@@ -42,7 +42,7 @@ class Steps(struct.PyTreeNode):
     Attributes:
       obs: float32 [F], before the step.
       embedding: float32 [2], where that lay in the subgoal space.
-      subgoal: float32 [2], where the controller was told to go.
+      subgoal: float32 [2], the controller's subgoal.
       action: float32 [A].
       next_obs: float32 [F], after the step.
       next_embedding: float32 [2].

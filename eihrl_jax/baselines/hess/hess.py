@@ -37,7 +37,7 @@ class ExplorationChoice(struct.PyTreeNode):
 
 
 class Hess:
-    """The functions of a run; holds no state that changes.
+    """The functions of a run; has no mutable state.
 
     Attributes:
       options: of the run.
@@ -54,7 +54,7 @@ class Hess:
         self._learning = learning.Learning(self._num_seen, world, self.steps_per_round, options)
 
     def init(self, key: Key[Array, ""]) -> learning.HessState:
-        """Returns the state of a run that is about to start, without episodes and subgoals."""
+        """Returns the initial state of a run, without episodes and subgoals."""
         key, learned_key, env_key = jax.random.split(key, 3)
 
         # A round's subgoals must not wrap around the end of their replay.
@@ -104,7 +104,7 @@ class Hess:
         return state, metrics | periods.sum_ends(periods.is_end(period), period.metrics)
 
     def policy(self, state: learning.HessState) -> dict[str, base.Params]:
-        """Returns what acts: `manager` and `controller`, and the `representation` for them."""
+        """Returns the parameters that act: `manager`, `controller` and their `representation`."""
         return {
             "manager": state.learned.manager.actor.params,
             "controller": state.learned.controller.actor.params,
@@ -321,6 +321,6 @@ class Hess:
 def _stay(
     subgoal: periods.SubgoalT, xy: Float[Array, "2"], next_xy: Float[Array, "2"]
 ) -> periods.SubgoalT:
-    """Returns the subgoal after a step: a place in the subgoal space, wherever the torso is."""
+    """Returns the subgoal after a step, unchanged: a fixed point of the subgoal space."""
     del xy, next_xy
     return subgoal

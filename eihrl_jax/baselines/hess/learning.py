@@ -37,7 +37,7 @@ class SubgoalRow(struct.PyTreeNode):
 
 
 class HessState(struct.PyTreeNode):
-    """All that a run needs to go on. N: number of environments.
+    """Everything needed to resume a run. N: number of environments.
 
     Attributes:
       learned: both levels and the subgoal space.

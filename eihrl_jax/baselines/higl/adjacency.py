@@ -141,7 +141,7 @@ class AdjacencyNetwork:
     def _loss(
         self, params: base.Params, pair_xy: Float[Array, "2 B 2"], is_near: Bool[Array, " B"]
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Returns the contrastive loss of pairs of places, to be minimised and to be told."""
+        """Returns the contrastive loss of pairs of places, twice: to minimise, and as a metric."""
         distance = self._distance(params, pair_xy)
         # Zhang et al. 2020, Sec. 4: a pair on the right side of its margin is left alone.
         near = jnp.maximum(distance - self.options.near, 0.0)

@@ -14,7 +14,7 @@ from eihrl_jax.ops import tree
 
 
 class Higl:
-    """The functions of a run; holds no state that changes.
+    """The functions of a run; has no mutable state.
 
     Attributes:
       options: of the run.
@@ -29,7 +29,7 @@ class Higl:
         self._learning = learning.Learning(world.num_features(self.see), world, options)
 
     def init(self, key: Key[Array, ""]) -> learning.HiglState:
-        """Returns the state of a run that is about to start, its replays still empty."""
+        """Returns the initial state of a run, with empty replays."""
         key, learned_key, env_key = jax.random.split(key, 3)
         envs = self._world.reset(self.options.num_envs, env_key)
         learned = self._learning.init(learned_key)
@@ -62,7 +62,7 @@ class Higl:
         return state.replace(learned=learned), metrics
 
     def policy(self, state: learning.HiglState) -> dict[str, base.Params]:
-        """Returns what acts: the actors of `manager` and `controller`."""
+        """Returns the parameters that act: the actors of `manager` and `controller`."""
         learned = state.learned
         return {
             "manager": learned.manager.actor.params,
@@ -175,5 +175,5 @@ class Higl:
 def _move(
     subgoal: Float[Array, "*B 2"], xy: Float[Array, "*B 2"], next_xy: Float[Array, "*B 2"]
 ) -> Float[Array, "*B 2"]:
-    """Returns the displacement that is left after a step: the place to go to stays where it is."""
+    """Returns the remaining displacement after a step: the subgoal's position doesn't move."""
     return subgoal + xy - next_xy

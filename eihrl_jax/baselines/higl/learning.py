@@ -1,4 +1,4 @@
-"""What HIGL learns in a round: the controller, the manager, what is near what, and what is new."""
+"""What HIGL learns in a round: controller, manager, adjacency network and novelty."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ class Learned(struct.PyTreeNode):
       manager: the upper level.
       controller: the lower level.
       places: what is adjacent to what.
-      novelty: the most novel places, and what tells them.
+      novelty: the most novel places, and the networks that measure novelty.
     """
 
     manager: ActorCriticState
@@ -61,7 +61,7 @@ class ControlRow(struct.PyTreeNode):
 
 
 class HiglState(struct.PyTreeNode):
-    """All that a run needs to go on. N: number of environments.
+    """Everything needed to resume a run. N: number of environments.
 
     Attributes:
       learned: both levels, what is near what, and what is new.
@@ -129,7 +129,7 @@ class Learning:
         return learned.replace(places=places, novelty=new)
 
     def learn(self, state: HiglState, key: Key[Array, ""]) -> tuple[Learned, Metrics]:
-        """Updates both levels, and what tells novelty, a round's number of times.
+        """Updates both levels and the novelty network, a round's number of times.
 
         Returns:
           What is learned now, and means of what the learners tell.

@@ -63,7 +63,7 @@ class ForwardRun:
         return _state(inner, base.Outcome.of_reset(), next_key)
 
     def step(self, state: EnvState, action: Float[Array, " nu"]) -> EnvState:
-        """Advances one control step; an episode that is over rests, and pays nothing."""
+        """Advances one control step; after the end nothing moves, and the reward is 0."""
         inner = state.inner
         physics, is_broken = body_lib.advance(
             self._engine, inner.physics, action, self._no_walls, ~state.is_over

@@ -116,7 +116,7 @@ class UMaze:
         return _state(inner, base.Outcome.of_reset(), next_key)
 
     def step(self, state: EnvState, action: Float[Array, " nu"]) -> EnvState:
-        """Advances one control step; an episode that is over rests, and pays nothing."""
+        """Advances one control step; after the end nothing moves, and the reward is 0."""
         inner = state.inner
         # The maze's functions count in our cells, which are smaller.
         scale = CELL / base.CELL

@@ -1,4 +1,4 @@
-"""Reads mazes that other projects write; what kind a file is, its content says, never its name."""
+"""Reads mazes of other projects; the format is recognised by the file's content, not its name."""
 
 import pathlib
 import re
@@ -43,7 +43,7 @@ def read(path: pathlib.Path, options: reading_config.ReadingConfig, name: str) -
 
 
 def exists(path: pathlib.Path) -> bool:
-    """Returns whether there is anything of this name; one that no file can have is not there."""
+    """Returns whether a file of this name exists; false for impossible names."""
     try:
         return path.exists()
     except OSError as error:
@@ -55,7 +55,7 @@ def exists(path: pathlib.Path) -> bool:
 def _of_text(
     text: str, path: pathlib.Path, options: reading_config.ReadingConfig, name: str
 ) -> Plan:
-    """Reads a text; what looks like nothing else is ours, whose messages fit any text."""
+    """Reads a text; one that no other format matches is read as ours."""
     first = text.lstrip()[:1]
     if first == "{" or (first == "[" and "agent_pos" not in text):
         return lists.of_json(text, options, name)

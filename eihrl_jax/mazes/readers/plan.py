@@ -1,4 +1,4 @@
-"""What every reader makes of a file: a grid of our legend, and how places in the file lie on it."""
+"""The result of every reader: a grid in our legend, and how the file's places map to it."""
 
 import dataclasses
 import math

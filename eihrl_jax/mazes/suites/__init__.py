@@ -1,4 +1,4 @@
-"""Suites: the mazes in which others measure, by the name of the suite, with origin and licence.
+"""Suites: test mazes of other projects by name, with origin and licence.
 
 Layouts stand in our legend (see `parsing`) in a TOML file per suite; perfect mazes are generated.
 """

@@ -1,4 +1,4 @@
-"""Generated mazes in which choices are made, so that none is made by a score in a test maze."""
+"""Generated mazes for choosing options, so that no choice is made by results in test mazes."""
 
 from collections.abc import Iterator
 
