@@ -55,8 +55,8 @@ class DatasetConfig:
     def __post_init__(self) -> None:
         """Checks how the options fit together."""
         if self.movement == "oracle" and self.low is not None:
-            raise base.UserError(f"low = {self.low} is of full movement, not asked for here")
+            raise base.UserError(f"low = {self.low} needs movement full, not oracle")
         if self.movement == "oracle" and self.observation != "flat":
             raise base.UserError(
-                f"observation = {self.observation!r} is of full movement, not asked for here"
+                f"observation = {self.observation!r} needs movement full, not oracle"
             )

@@ -121,11 +121,11 @@ class EvaluateConfig:
             )
 
     def _check_movement(self) -> None:
-        """Checks that options of one way of moving don't come without it."""
+        """Checks that options of one kind of movement come with it."""
         for name in ("step", "sigma", "measured"):
-            # What equals its default counts as not asked for.
+            # A value equal to the default counts as not given.
             value, default = getattr(self, name), getattr(type(self), name)
             if value != default and "oracle" not in self.movement:
-                raise base.UserError(f"{name} = {value} is of oracle movement, not evaluated here")
+                raise base.UserError(f"{name} = {value} needs movement oracle, not only full")
         if self.low and "full" not in self.movement:
-            raise base.UserError(f"low = {self.low[0]} is of full movement, not evaluated here")
+            raise base.UserError(f"low = {self.low[0]} needs movement full, not only oracle")

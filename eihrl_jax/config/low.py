@@ -194,6 +194,6 @@ class LowConfig:
 
         if self.reward.fall_cost and not self.ends_at_fall:
             raise base.UserError(
-                f"fall_cost = {self.reward.fall_cost} is the price of a fall that ends an episode: "
-                "it must be 0 where ends_at_fall is off"
+                f"fall_cost = {self.reward.fall_cost} is for falls that end an episode: it must be "
+                "0 with ends_at_fall = False"
             )

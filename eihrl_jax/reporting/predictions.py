@@ -164,7 +164,7 @@ def _agents(options: predict_config.PredictConfig) -> list[_Agent]:
 
 
 def _walked(options: predict_config.PredictConfig, folder: pathlib.Path) -> list[_Agent]:
-    """Returns the agents of an evaluation that walk, in its mazes and with its time limits."""
+    """Returns the hierarchies of an evaluation with full movement, with its mazes and limits."""
     measured = dict(zip(options.robot, options.ends, strict=True)) if options.ends else {}
     evaluation = results.load(folder / "eval.json")
     cells: dict[results.Agent, dict[str, results.Cell]] = {}
@@ -172,7 +172,9 @@ def _walked(options: predict_config.PredictConfig, folder: pathlib.Path) -> list
         if cell.agent.movement == "full" and cell.agent.low is not None:
             cells.setdefault(cell.agent, {})[cell.maze] = cell
     if not cells:
-        raise base.UserError(f"walked: in {folder} nothing walks that has two levels")
+        raise base.UserError(
+            f"walked = {folder} holds no results of a hierarchy with full movement"
+        )
 
     agents = []
     for agent, by_maze in cells.items():
@@ -192,7 +194,7 @@ def _ends(robot: str, folder: pathlib.Path | None) -> pathlib.Path:
     shipped = end_points.shipped(robots.load(robot).name)
     if not shipped.exists():
         raise base.UserError(
-            f"ends: none are shipped of robot {robot!r}; measure_low measures them"
+            f"ends: no end points are shipped for robot {robot!r}; measure_low measures them"
         )
     return shipped
 

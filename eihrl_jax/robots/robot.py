@@ -87,8 +87,8 @@ class Robot:
         checks.in_range("body_radius", self.body_radius, above=0.0, high=self.cell / 2)
         if self._max_path >= self.cell - self.body_radius:
             raise base.UserError(
-                f"max_speed = {self.max_speed} takes it {self._max_path:.2f} m far in a control "
-                f"step, walls hold below {self.cell - self.body_radius:.2f}: fewer num_substeps"
+                f"max_speed = {self.max_speed} moves the torso {self._max_path:.2f} m in a control "
+                f"step, must be less than {self.cell - self.body_radius:.2f}: reduce num_substeps"
             )
         if self.keyframe is not None and self.start is not None:
             raise base.UserError("keyframe and start exclude each other")
@@ -104,7 +104,9 @@ class Robot:
             )
 
         if self.healthy_z is not None and not self.healthy_z[0] < self.healthy_z[1]:
-            raise base.UserError(f"healthy_z = {self.healthy_z} must be a height and a greater one")
+            raise base.UserError(
+                f"healthy_z = {self.healthy_z} must be a lower and an upper height"
+            )
         if self.healthy_z is not None and self.root != "free":
             raise base.UserError(f"healthy_z: a robot with root {self.root!r} can't fall")
 

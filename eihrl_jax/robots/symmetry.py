@@ -88,9 +88,9 @@ def _check_group(what: str, num_turns: int, turn: SignedOrder, mirror: SignedOrd
 
     # Renaming a part and renaming it back must agree, or a variant would have two meanings.
     if num_turns > 1 and not leads_back(*[turn] * num_turns):
-        raise base.UserError(f"turn_{what} = {turn}: {num_turns} turns don't lead back")
+        raise base.UserError(f"turn_{what} = {turn}: {num_turns} turns aren't the identity")
     if mirror is not None and not leads_back(mirror, mirror):
-        raise base.UserError(f"mirror_{what} = {mirror}: two reflections don't lead back")
+        raise base.UserError(f"mirror_{what} = {mirror}: two reflections aren't the identity")
 
     # The relation of a dihedral group: a turn between two reflections is the turn back.
     if num_turns > 1 and mirror is not None and not leads_back(mirror, turn, mirror, turn):

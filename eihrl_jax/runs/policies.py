@@ -21,7 +21,7 @@ from eihrl_jax.storage import reading
 
 Kind = Literal["high", "low", "baseline"]
 Meta: TypeAlias = dict[str, Any]
-"""What is told about a policy in its meta.json: JSON values by name."""
+"""The entries of a policy's meta.json: JSON values by name."""
 
 _NOUNS: dict[Kind, str] = {
     "high": "high-level policy",
@@ -149,7 +149,7 @@ def kind_of(name: str | pathlib.Path) -> Kind | None:
 
 
 def read_meta(path: pathlib.Path) -> Meta:
-    """Returns what is told about the policy in a folder; only its kind is looked at.
+    """Returns the entries of a policy's meta.json; only the kind is checked.
 
     Raises:
       UserError: it can't be read, or names no kind.
@@ -162,11 +162,11 @@ def read_meta(path: pathlib.Path) -> Meta:
 
 
 def _check_finite(params: base.Params, path: pathlib.Path) -> None:
-    """Refuses what would act on NaN without a word."""
+    """Raises if parameters are NaN or infinite, with which a policy would act without an error."""
     for key, leaf in jax.tree_util.tree_leaves_with_path(params):
         if not np.isfinite(np.asarray(leaf)).all():
             name = jax.tree_util.keystr(key, simple=True, separator="/")
-            raise base.UserError(f"{path} is of no use: {name} holds numbers that aren't finite")
+            raise base.UserError(f"{path} can't be used: {name} holds numbers that aren't finite")
 
 
 def _first(name: str | pathlib.Path, kinds: Iterable[Kind]) -> pathlib.Path | None:

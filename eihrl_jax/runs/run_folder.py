@@ -92,12 +92,12 @@ class RunFolder:
             _check_same_options(path / _CONFIG, options, free)
             sources_lib.check(path, sources or {})
 
-        # Nothing is written before all that can be wrong has been looked at.
+        # Nothing is written before everything has been checked.
         path.mkdir(parents=True, exist_ok=True)
         run = cls(path, folders.take_lock(path))
         if folders.check_free(path, resume=resume) != is_taken:
             run.close()
-            raise base.UserError(f"{path} has been filled by another process just now")
+            raise base.UserError(f"{path} has just been filled by another process")
         run._config, run._sources = text, sources or {}
         run._starts = [*read_starts(path), versions.describe()]
         if not is_taken:

@@ -262,7 +262,7 @@ def undisturbed(name: Name, main: Callable[[], object], place: pathlib.Path, see
         start = time.monotonic()
         ended = job.run(folder)
         if ended.code != 0:
-            raise base.UserError(f"{name} can't be finished undisturbed: {ended.said[-1:]}")
+            raise base.UserError(f"{name} fails even undisturbed: {ended.said[-1:]}")
         job = dataclasses.replace(job, seconds=time.monotonic() - start)
 
     difference = job.difference(place / "cold")

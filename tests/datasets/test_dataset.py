@@ -77,9 +77,9 @@ def test_parts_hold_what_was_told(tmp_path):
 
 
 def test_what_does_not_fit_is_one_line(monkeypatch):
-    with pytest.raises(base.UserError, match="low = point is of full movement"):
+    with pytest.raises(base.UserError, match="low = point needs movement full"):
         dataclasses.replace(ORACLE, low="point")
-    with pytest.raises(base.UserError, match="observation = 'goal' is of full movement"):
+    with pytest.raises(base.UserError, match="observation = 'goal' needs movement full"):
         dataclasses.replace(ORACLE, observation="goal")
     monkeypatch.setattr(datasets, "_NEEDED", ("numpy", "minary"))
     with pytest.raises(base.UserError, match="dataset needs minary, which isn't there: pip"):

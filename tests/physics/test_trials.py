@@ -48,7 +48,7 @@ def _puck(tmp_path, *, gear=30, damping=10, more="", **options):
             "15.0 m/s, and walls hold up to 11.0: say max_speed = ",
         ),
         ({"gear": 6000, "damping": 100}, "0.60 m in a physics step, farther than its body_radius"),
-        ({"max_speed": 26.5}, "max_speed = 26.5 takes it 2.65 m far in a control step"),
+        ({"max_speed": 26.5}, "max_speed = 26.5 moves the torso 2.65 m in a control step"),
     ],
 )
 def test_what_walls_would_not_hold_is_refused(tmp_path, options, message):

@@ -54,7 +54,7 @@ def test_what_walked_stands_beside_what_was_predicted(tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"robot": ("docs/robots/cart.toml",)}, "none are shipped of robot"),
+        ({"robot": ("docs/robots/cart.toml",)}, "no end points are shipped for robot"),
         ({"walked": (pathlib.Path("nowhere"),)}, "nowhere/eval.json can't be read"),
     ],
 )

@@ -140,7 +140,7 @@ def test_presets_build(preset):
         ({"robot": "dog"}, "robot 'dog' is unknown"),
         (
             {"reward": low_config.LowReward(fall_cost=2.0), "ends_at_fall": False},
-            "fall_cost = 2.0 .* must be 0",
+            "fall_cost = 2.0 .* must be 0 with",
         ),
     ],
 )
