@@ -1,4 +1,4 @@
-"""Options of HESS; defaults are its released code's, or its paper's where the two differ."""
+"""Options of HESS; defaults are its released code's, in some points its paper's."""
 
 from typing import Annotated, Literal
 

@@ -215,7 +215,7 @@ def hiro() -> higl_config.HiglConfig:
 
 
 def hess() -> hess_config.HessConfig:
-    """HESS as released (Li et al. 2021), following its paper where the two differ."""
+    """HESS as released (Li et al. 2021), in some points as in its paper."""
     return hess_config.HessConfig(log_rounds=1)  # a round is a whole episode
 
 
