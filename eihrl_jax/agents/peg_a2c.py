@@ -22,7 +22,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key, PyTree
 
 from eihrl_jax import base
-from eihrl_jax.agents import optimisation
+from eihrl_jax.agents import devices, optimisation
 from eihrl_jax.config import high
 from eihrl_jax.ops import losses, returns, tree
 
@@ -34,9 +34,6 @@ Encoding: TypeAlias = PyTree[Array]
 
 Counts: TypeAlias = dict[str, Float[Array, ""]]
 """Numbers of decisions and episodes, and sums of the environment's metrics."""
-
-AXIS = "workers"
-"""Mesh axis over which workers are spread; `update` must run inside a `shard_map` over it."""
 
 
 class LearnerState(struct.PyTreeNode):
@@ -156,6 +153,8 @@ class PegA2C:
     def update(self, state: LearnerState) -> tuple[LearnerState, dict[str, Float[Array, ""]]]:
         """Lets this device's workers act, and takes a step along all devices' mean gradient.
 
+        It must run inside a `shard_map` over `devices.AXIS`.
+
         Returns:
           The next state, and metrics over all devices: `decisions` counts decisions, `episodes`
           those that ended, `sum_<name>` adds the environment's metrics over these, and all others
@@ -172,8 +171,8 @@ class PegA2C:
         # Paper: Algorithm 1, lines 15 and 16, and the average over all workers: `gradient` is the
         # mean over this device's workers, `pmean` that over devices, which have as many each.
         gradient, metrics = self.gradient(state.params, batch, state.num_updates)
-        gradient, metrics = jax.lax.pmean((gradient, metrics), AXIS)
-        counts = jax.lax.psum(jax.tree.map(jnp.sum, counts), AXIS)
+        gradient, metrics = jax.lax.pmean((gradient, metrics), devices.AXIS)
+        counts = jax.lax.psum(jax.tree.map(jnp.sum, counts), devices.AXIS)
 
         params, opt_state = optimisation.step(
             self._optimiser(), gradient, state.opt_state, state.params

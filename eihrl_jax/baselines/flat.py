@@ -59,7 +59,7 @@ class FlatDroq:
         rows = jax.eval_shape(self._step, envs, action)[1]
         return FlatState(
             learner=self._learner.init(learner_key),
-            replay=replay.init(replay.row(rows), self.options.capacity),
+            replay=replay.init(replay.row(rows), self.options.capacity, self.options.num_envs),
             envs=envs,
             key=key,
             num_steps=jnp.int32(0),
@@ -113,13 +113,14 @@ class FlatDroq:
             self.see(state.envs.obs),
             jax.random.split(act_key, num_envs),
         )
-        drawn = jax.random.uniform(random_key, chosen.shape, minval=-1.0, maxval=1.0)
-        envs, rows = self._step(state.envs, jnp.where(is_warm, chosen, drawn))
+        random = jax.random.uniform(random_key, chosen.shape, minval=-1.0, maxval=1.0)
+        envs, rows = self._step(state.envs, jnp.where(is_warm, chosen, random))
 
         # As many updates as all robots' steps ask for, all drawn at once: see `optimisation.loop`.
         stored = replay.add(state.replay, rows)
         count = num_envs * self.options.updates_per_step
-        batches = replay.sample(stored, (count, self.options.learner.batch_size), draw_key)
+        drawn = replay.sample(stored, (count, self.options.learner.batch_size), draw_key)
+        batches = self._world.shard(drawn, axis=1)
 
         def learn(learner: droq.DroqState) -> tuple[droq.DroqState, dict[str, Array]]:
             return optimisation.loop(self._learner.update, learner, batches, update_key)
@@ -145,7 +146,7 @@ class FlatDroq:
         self, envs: base.EnvState, action: Float[Array, "N nu"]
     ) -> tuple[base.EnvState, base.Transition]:
         """Steps every environment, and returns what is to be stored of it."""
-        stepped = jax.vmap(self._world.env.step)(envs, action)
+        stepped = self._world.step(envs, action)
         rows = base.Transition(
             obs=self.see(envs.obs),
             action=action,

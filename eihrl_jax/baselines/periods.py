@@ -1,7 +1,7 @@
 """Periods of two levels: an upper one names a subgoal every k steps, a lower one acts in between.
 
 All robots begin their periods together. One whose episode ends within a period rests until it is
-over; `renew` then begins a new episode.
+over; `World.renew` then begins a new episode.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base
-from eihrl_jax.ops import tree
+from eihrl_jax.baselines.world import World
 
 SubgoalT = TypeVar("SubgoalT")
 
@@ -96,7 +96,7 @@ class Carry(struct.PyTreeNode):
 
 
 def run(
-    env: base.Environment,
+    world: World,
     envs: base.EnvState,
     num_steps: int,
     choose: Choose[SubgoalT],
@@ -109,7 +109,7 @@ def run(
     """Runs one period.
 
     Args:
-      env: where; its `step` rests where the episode is over.
+      world: where; its `step` rests where the episode is over.
       envs: states with leading axis N.
       num_steps: k.
       choose: the upper level.
@@ -130,7 +130,7 @@ def run(
     ) -> tuple[tuple[base.EnvState, SubgoalT], Period[SubgoalT]]:
         envs, subgoal = carry
         action = jax.vmap(act)(envs.obs, subgoal, jax.random.split(step_key, num_envs))
-        stepped = jax.vmap(env.step)(envs, action / reach)
+        stepped = world.step(envs, action / reach)
 
         period = Period(
             obs=envs.obs,
@@ -215,9 +215,3 @@ def sum_ends(
     """Returns sums of metrics over the ends of episodes, as `sum_<name>`, and their number."""
     sums = {f"sum_{name}": jnp.where(is_end, each, 0.0).sum() for name, each in metrics.items()}
     return sums | {"episodes": is_end.sum(dtype=jnp.float32)}
-
-
-def renew(env: base.Environment, envs: base.EnvState, is_over: Bool[Array, " N"]) -> base.EnvState:
-    """Begins a new episode, drawn anew, where `is_over`."""
-    # All are drawn anew, and most draws dropped: shapes can't depend on who is done.
-    return jax.vmap(tree.where)(is_over, jax.vmap(env.reset)(envs.key), envs)

@@ -111,7 +111,7 @@ class Course:
             "reward_scaling": options.reward_scaling,
             "normalize_observations": True,
             "network_factory": self.factory,
-            "max_devices_per_host": 1,
+            "max_devices_per_host": options.num_devices or 1,
             "seed": self.seed,
         }
 

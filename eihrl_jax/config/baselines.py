@@ -36,6 +36,12 @@ class BaselineConfig:
       evaluate_every: rows of metrics between evaluations.
       checkpoint_every: rows of metrics between checkpoints.
       num_eval_episodes: episodes per evaluation, without exploration.
+      num_devices: devices of each process that share environments, replay and batches; None: as
+        many as can share them evenly, on CPU and for ppo and sac one.
+      coordinator: host:port of process 0, for a run of several processes on one or more hosts;
+        "auto": found in the environment of the cluster.
+      num_processes: processes of the run.
+      process_id: number of this process, from 0.
     """
 
     method: str = "droq"
@@ -54,6 +60,15 @@ class BaselineConfig:
     evaluate_every: limits.UpToMillion = 4
     checkpoint_every: limits.UpToMillion = 4
     num_eval_episodes: limits.UpToMillion = 50
+    num_devices: Annotated[int, limits.Range(1, 1024)] | None = None
+    coordinator: str | None = None
+    num_processes: int | None = None
+    process_id: int | None = None
+
+    @property
+    def shared(self) -> dict[str, int]:
+        """What devices share evenly, by the name of its option."""
+        return {"num_envs": self.num_envs}
 
 
 @limits.dataclass
@@ -85,3 +100,8 @@ class FlatConfig(BaselineConfig):
     def steps_per_round(self) -> int:
         """Control steps of all environments together in a round."""
         return self.num_envs * self.iterations_per_round
+
+    @property
+    def shared(self) -> dict[str, int]:
+        """What devices share evenly, by the name of its option."""
+        return super().shared | {"learner.batch_size": self.learner.batch_size}

@@ -9,9 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from eihrl_jax import base, mazes, robots
+from eihrl_jax.agents import devices
 from eihrl_jax.baselines import interface
 from eihrl_jax.baselines.world import World
 from eihrl_jax.config import baselines as config_lib
+from eihrl_jax.config import brax as brax_config
 from eihrl_jax.config import hess as hess_config
 from eihrl_jax.envs import goal_maze, wrappers
 from eihrl_jax.mazes import generators
@@ -19,7 +21,7 @@ from eihrl_jax.physics import engines
 from eihrl_jax.robots import robot as robot_lib
 from eihrl_jax.runs import policies
 from eihrl_jax.runs import sources as runs_sources
-from eihrl_jax.training import loop, sources
+from eihrl_jax.training import loop, parallel, sources
 from eihrl_jax.training import metrics as metrics_lib
 
 State: TypeAlias = Any
@@ -47,6 +49,7 @@ class Arena:
       baseline: what learns.
       episode_steps: control steps of the longest episode.
       sources: what the options of maze and robot name, see `runs.sources`.
+      mesh: devices over which training is sharded; by default one.
     """
 
     title: str
@@ -55,18 +58,31 @@ class Arena:
     baseline: interface.Actor
     episode_steps: int
     sources: runs_sources.Sources = dataclasses.field(default_factory=dict)
+    mesh: jax.sharding.Mesh = dataclasses.field(default_factory=lambda: parallel.make_mesh(1))
+
+    @functools.cached_property
+    def init(self) -> jax.stages.Wrapped:
+        """Makes the state of a run that is about to start, of a key."""
+        return jax.jit(self.baseline.init, out_shardings=self._shardings)
 
     @functools.cached_property
     def advance(self) -> jax.stages.Wrapped:
         """Acts and learns: (state, number of rounds) to (state, metrics of each)."""
         baseline = self.baseline
         assert isinstance(baseline, interface.Baseline)
+        alike = devices.sharding(self.mesh)
 
         def advance(state: State, num_rounds: int) -> tuple[State, dict[str, Array]]:
             return jax.lax.scan(lambda state, _: baseline.advance(state), state, length=num_rounds)
 
         # Donated: a replay is large, and the state before isn't needed any more.
-        return jax.jit(advance, static_argnums=1, donate_argnums=0)
+        return jax.jit(
+            advance,
+            static_argnums=1,
+            donate_argnums=0,
+            in_shardings=(self._shardings,),
+            out_shardings=(self._shardings, alike),
+        )
 
     @functools.cached_property
     def evaluate(self) -> jax.stages.Wrapped:
@@ -75,6 +91,14 @@ class Arena:
         (policy, key, number of episodes) to sums of the episodes' metrics, and their number.
         """
         return jax.jit(self._evaluate, static_argnums=2)
+
+    @functools.cached_property
+    def _shardings(self) -> State:
+        """Shardings of a state; a learner from elsewhere shards its own."""
+        if isinstance(self.baseline, interface.RowLearner):
+            return devices.sharding(self.mesh)
+        state = jax.eval_shape(self.baseline.init, jax.random.key(0))
+        return devices.shardings(state, self.mesh)
 
     def _evaluate(
         self, policy: base.Params, key: Key[Array, ""], num_episodes: int
@@ -123,15 +147,29 @@ def make_arena(config: config_lib.BaselineConfig) -> Arena:
         raise base.UserError(
             f"period = {config.period} must be smaller than the {steps} control steps of an episode"
         )
-    baseline = interface.make(World(trained_in, engine.model.nu, env.side_xy, steps), config)
+    mesh = _make_mesh(config)
+    baseline = interface.make(World(trained_in, engine.model.nu, env.side_xy, steps, mesh), config)
     made_of = {"maze": sources.of_maze(maze), "robot": sources.of_robot(config.robot)}
-    return Arena(f"{config.method} in {config.maze}", env, env.side_xy, baseline, steps, made_of)
+    title = f"{config.method} in {config.maze}"
+    return Arena(title, env, env.side_xy, baseline, steps, made_of, mesh)
+
+
+def _make_mesh(config: config_lib.BaselineConfig) -> jax.sharding.Mesh:
+    """Makes the mesh over which training is sharded.
+
+    Raises:
+      base.UserError: there are fewer devices, or they can't share the work evenly.
+    """
+    # On CPU one device uses all cores; what Brax's learners take is what they are told.
+    is_one = jax.default_backend() == "cpu" or isinstance(config, brax_config.BraxConfig)
+    return parallel.make_mesh(config.num_devices or (1 if is_one else None), **config.shared)
 
 
 def train(config: config_lib.BaselineConfig, watch: loop.Watch | None = None) -> None:
     """Trains a baseline in a run folder, or resumes a stopped run.
 
-    The run folder ends up with the policy.
+    The run folder ends up with the policy. In a run of several processes all must call this; the
+    first one writes.
 
     Args:
       config: the options of the method.
@@ -140,6 +178,12 @@ def train(config: config_lib.BaselineConfig, watch: loop.Watch | None = None) ->
     Raises:
       base.UserError: an option or the run folder is not as it should be.
     """
+    if config.coordinator is not None and isinstance(config, brax_config.BraxConfig):
+        raise base.UserError(
+            f"coordinator = {config.coordinator!r} is for runs of several processes: "
+            f"method = {config.method!r} trains in one"
+        )
+    parallel.connect(config.coordinator, config.num_processes, config.process_id)
     train_in(make_arena(config), config, watch)
 
 
@@ -176,7 +220,7 @@ class _Job(loop.Job[State]):
             evaluate_every=per_row * self.config.evaluate_every,
             checkpoint_every=per_row * self.config.checkpoint_every,
             length_option="num_steps",
-            may_change=("num_steps",),
+            may_change=("num_steps", *parallel.OPTIONS),
             shown={"eval/success": "success", "success": "while exploring"},
         )
 
@@ -190,7 +234,7 @@ class _Job(loop.Job[State]):
         return jax.random.split(jax.random.key(self.config.seed))
 
     def init(self) -> State:
-        return jax.jit(self.arena.baseline.init)(self._keys[0])
+        return self.arena.init(self._keys[0])
 
     def compile_training(self, state: State) -> loop.Advance[State]:
         """Compiles the rounds of a row."""
@@ -214,7 +258,7 @@ class _Job(loop.Job[State]):
         def evaluate(state: State, done: int) -> dict[str, float]:
             # By row, not by a counter: a run that goes on draws the same episodes.
             key = jax.random.fold_in(self._keys[1], done // per_row)
-            means = metrics_lib.summarise(measure(baseline.policy(state), key))
+            means = metrics_lib.summarise(measure(parallel.local(baseline.policy(state)), key))
             means["reward"] = means["return"] / means["steps"]
             return {f"eval/{name}": value for name, value in means.items()}
 

@@ -11,7 +11,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from eihrl_jax import base, robots
-from eihrl_jax.agents import droq, optimisation
+from eihrl_jax.agents import devices, droq, optimisation
 from eihrl_jax.agents import replay as replay_lib
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import experience, locomotion, low_obs, subgoals, wrappers
@@ -83,8 +83,8 @@ class LowTrainer:
         # Bound once: JAX caches traces by function object, and `self.init` is a new one each time.
         init = self.init
         self.shapes = jax.eval_shape(init, jax.random.key(0))
-        self._spread = spread = self._shardings()
-        alike = parallel.sharding(self._mesh)
+        self._spread = spread = devices.shardings(self.shapes, self._mesh)
+        alike = devices.sharding(self._mesh)
 
         # Each is compiled once, however many runs use the trainer.
         self.jit_init = jax.jit(init, out_shardings=spread)
@@ -105,7 +105,7 @@ class LowTrainer:
     def init(self, key: Key[Array, ""]) -> LowState:
         """Returns the initial state of a run, with an empty replay."""
         key, learner_key, env_key = jax.random.split(key, 3)
-        reset = parallel.over_devices(jax.vmap(self._env.reset), self._mesh)
+        reset = devices.over_devices(jax.vmap(self._env.reset), self._mesh)
         envs = reset(jax.random.split(env_key, self.config.num_envs))
         ctrl = jnp.zeros((self.config.num_envs, self._num_actions))
 
@@ -228,15 +228,6 @@ class LowTrainer:
         """Moves a state to the run's devices, over which robots and stored steps are sharded."""
         return jax.device_put(state, self._spread)
 
-    def _shardings(self) -> LowState:
-        """Returns the shardings of a state: each robot and its stored steps are on one device."""
-        alike, by_robot, by_stream = (parallel.sharding(self._mesh, axis) for axis in (None, 0, 1))
-        state = jax.tree.map(lambda _: alike, self.shapes)
-        return state.replace(
-            envs=jax.tree.map(lambda _: by_robot, self.shapes.envs),
-            replay=state.replay.replace(rows=by_stream),
-        )
-
     def _features(self, obs: low_obs.LowObs) -> Float[Array, " F"]:
         return low_obs.features(obs, self.robot, self.config.low_input)
 
@@ -277,7 +268,7 @@ class LowTrainer:
             return stepped, jax.vmap(experience.of_step)(envs, ctrl, stepped)
 
         # Each device calls the physics for its own robots.
-        return parallel.over_devices(step, self._mesh)(envs, ctrl)
+        return devices.over_devices(step, self._mesh)(envs, ctrl)
 
     def _draw(
         self, replay: replay_lib.Replay, num_batches: int, key: Key[Array, ""]
@@ -287,7 +278,7 @@ class LowTrainer:
         row_key, direction_key, share_key = jax.random.split(key, 3)
         shape = (num_batches, self.config.droq.batch_size)
         rows = replay_lib.sample(replay, shape, row_key)
-        rows = jax.lax.with_sharding_constraint(rows, parallel.sharding(self._mesh, axis=1))
+        rows = devices.shard(rows, 1, self._mesh)
 
         if self.config.relabel != "never":
             direction = jax.random.randint(direction_key, shape, 0, base.NUM_DIRECTIONS)

@@ -6,7 +6,6 @@ cores (`use_cpu_cores`) every core runs its own share of the workers.
 
 import math
 import os
-from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import jax
@@ -15,14 +14,14 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float
 
 from eihrl_jax import base
-from eihrl_jax.agents import peg_a2c
+from eihrl_jax.agents import devices, peg_a2c
 
 OPTIONS = ("num_devices", "coordinator", "num_processes", "process_id")
 """Options that may differ between the processes of a run, and when it goes on."""
 
 # `Any`: a spec stands where the state's annotations have an array.
 _ALIKE = cast(Any, PartitionSpec())
-_PER_WORKER = cast(Any, PartitionSpec(peg_a2c.AXIS))
+_PER_WORKER = cast(Any, PartitionSpec(devices.AXIS))
 SPECS = peg_a2c.LearnerState(
     params=_ALIKE,
     opt_state=_ALIKE,
@@ -34,7 +33,6 @@ SPECS = peg_a2c.LearnerState(
 """Which parts of a learner's state are spread over devices: what belongs to one worker."""
 
 TreeT = TypeVar("TreeT")
-OutT = TypeVar("OutT")
 
 
 def use_cpu_cores() -> None:
@@ -103,12 +101,12 @@ def make_mesh(num_devices: int | None, **shared: int) -> jax.sharding.Mesh:
             )
 
     # Process by process, so that a process's workers lie next to each other.
-    devices = [
+    chosen = [
         device
         for process in range(processes)
         for device in jax.local_devices(process_index=process)[:num_devices]
     ]
-    return jax.sharding.Mesh(np.array(devices), (peg_a2c.AXIS,))
+    return jax.sharding.Mesh(np.array(chosen), (devices.AXIS,))
 
 
 def init(agent: peg_a2c.PegA2C, seed: int, mesh: jax.sharding.Mesh) -> peg_a2c.LearnerState:
@@ -136,27 +134,8 @@ def repeated_update(agent: peg_a2c.PegA2C, num: int, mesh: jax.sharding.Mesh) ->
     )
     # Without `out_shardings` a state that comes back looks different from a first one on one
     # device, and everything would be compiled twice.
-    shardings = (_shardings(mesh), sharding(mesh))
+    shardings = (_shardings(mesh), devices.sharding(mesh))
     return jax.jit(sharded, donate_argnums=0, out_shardings=shardings)
-
-
-def over_devices(function: Callable[..., OutT], mesh: jax.sharding.Mesh) -> Callable[..., OutT]:
-    """Returns a function of which each device computes its share of the leading axes."""
-    if mesh.size == 1:
-        return function
-    spec = PartitionSpec(peg_a2c.AXIS)
-    return jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-
-
-def sharding(mesh: jax.sharding.Mesh, axis: int | None = None) -> jax.sharding.NamedSharding:
-    """Returns where an array is.
-
-    Args:
-      mesh: of `make_mesh`.
-      axis: by which it is spread over the devices; None: every device has all of it.
-    """
-    spec = PartitionSpec() if axis is None else PartitionSpec(*[None] * axis, peg_a2c.AXIS)
-    return jax.sharding.NamedSharding(mesh, spec)
 
 
 def local(tree: TreeT) -> TreeT:

@@ -1,10 +1,12 @@
 """Training over devices and over processes: the updates are those of one device."""
 
+import functools
 import os
 import pathlib
 import socket
 import subprocess
 import sys
+import tempfile
 
 import jax
 import numpy as np
@@ -14,6 +16,7 @@ from eihrl_jax import base
 from eihrl_jax.config import low as low_config
 from eihrl_jax.training import low_trainer, parallel
 from tests.agents import test_peg_a2c
+from tests.training import test_parallel_baselines
 
 NUM_UPDATES = 4
 ROOT = pathlib.Path(__file__).parents[2]
@@ -27,11 +30,11 @@ from tests.training import test_parallel
 
 parallel.connect(sys.argv[1], 2, int(sys.argv[2]))
 assert jax.device_count() == 2 and jax.local_device_count() == 1
-leaves = [*test_parallel.parameters(None), *test_parallel.low_parameters()]
-np.savez(sys.argv[3], *leaves)
+np.savez(sys.argv[3], *getattr(test_parallel, sys.argv[4])(None))
 """
 
 
+@functools.cache
 def train(num_devices):
     """Makes a few updates of a high level, workers spread over so many devices of each process."""
     agent = test_peg_a2c.make(window=2)
@@ -46,7 +49,8 @@ def parameters(num_devices):
     return jax.tree.leaves(parallel.local(train(num_devices).params))
 
 
-def train_low(num_devices=None):
+@functools.cache
+def train_low(num_devices):
     """Lets a low level's robots take a few steps, and learns from them."""
     config = low_config.LowConfig(
         robot="point",
@@ -62,12 +66,21 @@ def train_low(num_devices=None):
     )
     trainer = low_trainer.LowTrainer(config)
     state = trainer.jit_warm_up(trainer.jit_init(jax.random.key(0)), 3)
-    return trainer.jit_advance(state)[0]
+    # The trainer must outlive what it computes.
+    return jax.block_until_ready(trainer.jit_advance(state)[0])
 
 
-def low_parameters():
-    """Returns all parameters of a low level that has learned."""
-    return jax.tree.leaves(parallel.local(train_low().learner))
+def levels(num_devices):
+    """Returns the parameters of both levels after a few updates."""
+    low = parallel.local(train_low(num_devices).learner)
+    return [*parameters(num_devices), *jax.tree.leaves(low)]
+
+
+def baseline(num_devices):
+    """Returns the parameters of a baseline after a few updates."""
+    with tempfile.TemporaryDirectory() as folder:
+        state = test_parallel_baselines.train("droq", num_devices, pathlib.Path(folder) / "m.txt")
+    return jax.tree.leaves(parallel.local(state.learner))
 
 
 @pytest.fixture(scope="module")
@@ -101,28 +114,30 @@ def test_eight_devices_make_the_updates_of_one(alone):
             np.testing.assert_array_equal(copy, copies[0])
 
 
-def test_two_processes_make_the_updates_of_one(alone, low_alone, tmp_path):
+@pytest.mark.parametrize("kind", [levels, pytest.param(baseline, marks=pytest.mark.slow)])
+def test_two_processes_make_the_updates_of_one(kind, tmp_path):
     with socket.socket() as free:
         free.bind(("localhost", 0))
         coordinator = f"localhost:{free.getsockname()[1]}"
+    paths = [tmp_path / f"{i}.npz" for i in range(2)]
     environment = os.environ | {"JAX_NUM_CPU_DEVICES": "1", "JAX_PLATFORMS": "cpu"}
     environment["PYTHONPATH"] = str(ROOT)
     processes = [
         subprocess.Popen(
-            [sys.executable, "-c", PROCESS, coordinator, str(i), str(tmp_path / f"{i}.npz")],
+            [sys.executable, "-c", PROCESS, coordinator, str(i), str(path), kind.__name__],
             env=environment,
             stderr=subprocess.PIPE,
             text=True,
         )
-        for i in range(2)
+        for i, path in enumerate(paths)
     ]
     for process in processes:
         _, errors = process.communicate(timeout=300)
         assert process.returncode == 0, errors
-    first, second = (list(np.load(tmp_path / f"{i}.npz").values()) for i in range(2))
+    first, second = (list(np.load(path).values()) for path in paths)
     for left, right in zip(first, second, strict=True):
         np.testing.assert_array_equal(left, right)
-    assert_close(first, jax.tree.leaves((alone.params, low_alone.learner)))
+    assert_close(first, kind(1))
 
 
 def assert_close(actual, expected):

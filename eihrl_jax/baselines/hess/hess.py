@@ -70,7 +70,9 @@ class Hess:
                 self._num_periods,
                 (self._num_seen, self._world.num_actions),
             ),
-            high_replay=replay.init(learning.empty_row(self._num_seen + 2), high_capacity),
+            high_replay=replay.init(
+                learning.empty_row(self._num_seen + 2), high_capacity, self.options.num_envs
+            ),
             envs=self._world.reset(self.options.num_envs, env_key),
             key=key,
             success=jnp.float32(0.0),
@@ -178,11 +180,11 @@ class Hess:
             envs: base.EnvState, key: Key[Array, ""]
         ) -> tuple[base.EnvState, periods.Period[ExplorationChoice]]:
             choose = functools.partial(self._choose, state)
-            return periods.run(self._world.env, envs, self.options.period, choose, act, _stay, key)
+            return periods.run(self._world, envs, self.options.period, choose, act, _stay, key)
 
         # Episodes are stored whole, so that all robots begin a new one with the round.
         everywhere = jnp.ones(self.options.num_envs, bool)
-        envs = periods.renew(self._world.env, state.envs, everywhere)
+        envs = self._world.renew(state.envs, everywhere)
         return jax.lax.scan(body, envs, jax.random.split(key, self._num_periods))
 
     def _choose(

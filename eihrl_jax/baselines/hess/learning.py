@@ -91,7 +91,7 @@ class Learning:
           steps_per_round: control steps of all environments in a round.
           options: of the run.
         """
-        self._options = options
+        self._options, self._world = options, world
         self._steps_per_round = steps_per_round
         size = representation.NUM_SUBGOAL
         # A step costs at most 1, and goals are ends: no value is below that of a whole episode.
@@ -124,7 +124,7 @@ class Learning:
                 manager, row.transition, row.is_running.astype(jnp.float32), key
             ),
             state.learned.manager,
-            replay.sample(state.high_replay, shape, draw_key),
+            self._world.shard(replay.sample(state.high_replay, shape, draw_key), axis=1),
             update_key,
         )
         learned = state.learned.replace(controller=controller, manager=manager)
@@ -184,7 +184,8 @@ class Learning:
     ) -> tuple[ActorCriticState, dict[str, Float[Array, " U"]]]:
         options = self._options.controller
         count = max(1, round(options.updates_per_step * self._steps_per_round))
-        steps = episodes_lib.sample(state.episodes, (count, options.batch_size), key)
+        drawn = episodes_lib.sample(state.episodes, (count, options.batch_size), key)
+        steps = self._world.shard(drawn, axis=1)
         # The learning rate halves at once, as released.
         rate = jnp.exp2(-(state.num_steps // options.half_life).astype(jnp.float32))
 

@@ -31,7 +31,8 @@ class Higl:
     def init(self, key: Key[Array, ""]) -> learning.HiglState:
         """Returns the initial state of a run, with empty replays."""
         key, learned_key, env_key = jax.random.split(key, 3)
-        envs = self._world.reset(self.options.num_envs, env_key)
+        num_envs = self.options.num_envs
+        envs = self._world.reset(num_envs, env_key)
         learned = self._learning.init(learned_key)
 
         # The round is only traced: it tells what the rows of both replays hold.
@@ -39,8 +40,8 @@ class Higl:
 
         return learning.HiglState(
             learned=learned,
-            low_replay=replay.init(replay.row(steps, 3), self.options.capacity),
-            high_replay=replay.init(replay.row(subgoals, 2), self.options.high_capacity),
+            low_replay=replay.init(replay.row(steps, 3), self.options.capacity, num_envs),
+            high_replay=replay.init(replay.row(subgoals, 2), self.options.high_capacity, num_envs),
             envs=envs,
             key=key,
             num_steps=jnp.int32(0),
@@ -129,10 +130,10 @@ class Higl:
         def body(
             envs: base.EnvState, key: Key[Array, ""]
         ) -> tuple[base.EnvState, periods.Period[Array]]:
-            env, k, reach = self._world.env, self.options.period, self.options.controller.reach
+            world, k, reach = self._world, self.options.period, self.options.controller.reach
             # Who ended within the last period has rested until its end.
-            envs = periods.renew(env, envs, envs.is_over)
-            return periods.run(env, envs, k, choose, act, _move, key, reach=reach)
+            envs = world.renew(envs, envs.is_over)
+            return periods.run(world, envs, k, choose, act, _move, key, reach=reach)
 
         return jax.lax.scan(body, envs, jax.random.split(key, self.options.periods_per_round))
 

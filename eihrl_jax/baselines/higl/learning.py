@@ -1,5 +1,8 @@
 """What HIGL learns in a round: controller, manager, adjacency network and novelty."""
 
+import functools
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -99,7 +102,7 @@ class Learning:
         Raises:
           base.UserError: the arena is too large for a table of adjacent places.
         """
-        self._options = options
+        self._options, self._world = options, world
         self.manager = td3.Td3(num_seen + 2, NUM_SUBGOAL, options.manager)
         self.controller = td3.Td3(num_seen, world.num_actions, options.controller)
         # HIRO needs no table: for it the arena is one square, however large it is.
@@ -146,7 +149,7 @@ class Learning:
         if self._options.guidance == "landmarks":
             shape = self._options.num_updates, self._options.controller.batch_size
             # Steps of rest are among them: they are no visits, but novelty is learned from them.
-            obs = replay.sample(state.low_replay, shape, new_key).next_obs
+            obs = self._draw(state.low_replay, shape, new_key).next_obs
             new, losses = jax.lax.scan(self._novelty.update, learned.novelty, obs)
             learned = learned.replace(novelty=new)
             metrics["novelty_loss"] = losses.mean()
@@ -196,7 +199,8 @@ class Learning:
 
         # Corrected at every draw: the controller has changed again since the last one.
         keys = jax.random.split(key, row.reward.shape[0])
-        action = jax.lax.map(correct, (row, keys), batch_size=_ROWS_AT_ONCE)
+        one_by_one = functools.partial(jax.lax.map, correct, batch_size=_ROWS_AT_ONCE)
+        action = self._world.on_each_device(one_by_one)((row, keys))
         ends = row.terminated | (row.truncated & self._options.is_limit_terminal)
         return base.Transition(
             obs=jnp.concatenate([row.obs[:, 0], row.goal_xy], axis=-1),
@@ -206,12 +210,16 @@ class Learning:
             next_obs=jnp.concatenate([row.next_obs, row.next_goal_xy], axis=-1),
         )
 
+    def _draw(self, stored: replay.Replay, shape: tuple[int, int], key: Key[Array, ""]) -> Any:
+        """Draws U batches of B rows, sharded by their rows."""
+        return self._world.shard(replay.sample(stored, shape, key), axis=1)
+
     def _learn_controller(
         self, state: HiglState, key: Key[Array, ""]
     ) -> tuple[ActorCriticState, dict[str, Float[Array, " U"]]]:
         draw_key, update_key = jax.random.split(key)
         shape = self._options.num_updates, self._options.controller.batch_size
-        rows = replay.sample(state.low_replay, shape, draw_key)
+        rows = self._draw(state.low_replay, shape, draw_key)
 
         def update(
             controller: ActorCriticState, row: ControlRow, key: Key[Array, ""]
@@ -226,7 +234,7 @@ class Learning:
     ) -> tuple[ActorCriticState, dict[str, Float[Array, " U"]]]:
         pool_key, draw_key, update_key = jax.random.split(key, 3)
         shape = self._options.num_high_updates, self._options.manager.batch_size
-        rows = replay.sample(state.high_replay, shape, draw_key)
+        rows = self._draw(state.high_replay, shape, draw_key)
         learned, ahead_xy = state.learned, self._ahead(state, rows, pool_key)
 
         def update(
