@@ -47,6 +47,13 @@ EngineName = Literal["mujoco", "mjx"]
 
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 
+QUICK_COMPILE = {"xla_backend_optimization_level": 1}
+"""Compiler options of programs that run rarely, such as resets.
+
+They compile in about half the time, with the same results bit for bit (reset of the ant in U, one
+core of an Intel Xeon: 3.9 instead of 8.3 s).
+"""
+
 TIME_UNIT = 1_000.0
 """Control steps in which the time of a `GoalObs` grows by one (HIGL's released code)."""
 

@@ -27,7 +27,7 @@ class Rows:
     def __init__(self, recorder: episodes.Recorder, num: int):
         """Compiles nothing yet."""
         self._num = num
-        self._reset = jax.jit(jax.vmap(recorder.reset))
+        self._reset = jax.jit(jax.vmap(recorder.reset), compiler_options=base.QUICK_COMPILE)
         self._decide = jax.jit(jax.vmap(recorder.decide))
 
     def run(self, first_seed: int) -> list[Arrays]:

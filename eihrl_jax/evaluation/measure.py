@@ -222,7 +222,7 @@ def _follow(
         return (after, start), steps
 
     # One subgoal per call, so that the progress bar moves; the last one may be cut.
-    reset = jax.jit(jax.vmap(resetting.reset))
+    reset = jax.jit(jax.vmap(resetting.reset), compiler_options=base.QUICK_COMPILE)
     follow = jax.jit(lambda carry: jax.lax.scan(jax.vmap(advance), carry, length=k))
     # Never read: an episode's first step begins a subgoal.
     nothing = jnp.zeros(num_envs, bool)

@@ -153,7 +153,7 @@ class Runner:
         # All batches have one size, so that nothing is compiled twice; the last is filled up.
         num_batches = math.ceil(len(self._rows) / self._max_rows())
         self._size = math.ceil(len(self._rows) / num_batches)
-        self._reset = jax.jit(jax.vmap(env.reset))
+        self._reset = jax.jit(jax.vmap(env.reset), compiler_options=base.QUICK_COMPILE)
         self._compiled: dict[Hashable, jax.stages.Compiled] = {}
         self._tours = functools.cache(lambda maze, door: paths.tours(self._mazes[maze], door))
 

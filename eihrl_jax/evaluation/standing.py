@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from eihrl_jax import base
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import hierarchy, locomotion, rooms
@@ -74,7 +75,8 @@ def measure(
         return jax.vmap(lambda q: body_lib.is_fallen(q, robot))(qpos)
 
     # A subgoal's time is enough to come to rest, whatever the robot.
-    state = jax.jit(jax.vmap(env.reset))(jax.random.split(reset_key, num))
+    reset = jax.jit(jax.vmap(env.reset), compiler_options=base.QUICK_COMPILE)
+    state = reset(jax.random.split(reset_key, num))
     lie = jax.jit(lambda state: jax.lax.scan(rest, state, length=k)[0])
     walk = jax.jit(lambda state: jax.lax.scan(follow, state, length=k)[0])
     shares: dict[int, float] = {}

@@ -347,7 +347,7 @@ def _programs(task: Task, mode: Mode) -> _Programs:
 
     return _Programs(
         keys=jax.jit(keys),
-        reset=jax.jit(reset),
+        reset=jax.jit(reset, compiler_options=base.QUICK_COMPILE),
         choose=jax.jit(jax.vmap(tree.where)),
         see=jax.jit(jax.vmap(task.see)),
         step=jax.jit(step),

@@ -142,7 +142,8 @@ class LoadedMaze:
 
     @functools.cached_property
     def _compiled(self) -> tuple[jax.stages.Wrapped, jax.stages.Wrapped]:
-        return jax.jit(self.reset), jax.jit(self.trace)
+        reset = jax.jit(self.reset, compiler_options=base.QUICK_COMPILE)
+        return reset, jax.jit(self.trace)
 
     def run(self, seed: int = 0, maze: int = 0) -> "Episode":
         """Runs one episode.

@@ -63,7 +63,9 @@ class Arena:
     @functools.cached_property
     def init(self) -> jax.stages.Wrapped:
         """Makes the state of a run that is about to start, of a key."""
-        return jax.jit(self.baseline.init, out_shardings=self._shardings)
+        return jax.jit(
+            self.baseline.init, out_shardings=self._shardings, compiler_options=base.QUICK_COMPILE
+        )
 
     @functools.cached_property
     def advance(self) -> jax.stages.Wrapped:
@@ -160,9 +162,10 @@ def _make_mesh(config: config_lib.BaselineConfig) -> jax.sharding.Mesh:
     Raises:
       base.UserError: there are fewer devices, or they can't share the work evenly.
     """
-    # On CPU one device uses all cores; what Brax's learners take is what they are told.
-    is_one = jax.default_backend() == "cpu" or isinstance(config, brax_config.BraxConfig)
-    return parallel.make_mesh(config.num_devices or (1 if is_one else None), **config.shared)
+    num_devices = parallel.or_one_on_cpu(config.num_devices)
+    if isinstance(config, brax_config.BraxConfig):  # whose learners take what they are told
+        num_devices = config.num_devices or 1
+    return parallel.make_mesh(num_devices, **config.shared)
 
 
 def train(config: config_lib.BaselineConfig, watch: loop.Watch | None = None) -> None:

@@ -73,9 +73,8 @@ class LowTrainer:
 
         # Robots and their stored steps are sharded over devices. From that XLA derives how batches
         # are sharded, and averages gradients.
-        num_devices = 1 if jax.default_backend() == "cpu" else None
         self._mesh = parallel.make_mesh(
-            config.num_devices or num_devices,
+            parallel.or_one_on_cpu(config.num_devices),
             num_envs=config.num_envs,
             batch_size=config.droq.batch_size,
         )
@@ -87,19 +86,21 @@ class LowTrainer:
         alike = devices.sharding(self._mesh)
 
         # Each is compiled once, however many runs use the trainer.
-        self.jit_init = jax.jit(init, out_shardings=spread)
+        self.jit_init = jax.jit(init, out_shardings=spread, compiler_options=base.QUICK_COMPILE)
         self.jit_warm_up = jax.jit(
             self.warm_up,
             donate_argnums=0,
             static_argnums=1,
             in_shardings=(spread,),
             out_shardings=spread,
+            compiler_options=base.QUICK_COMPILE,
         )
         self.jit_advance = jax.jit(
             self.advance, donate_argnums=0, in_shardings=(spread,), out_shardings=(spread, alike)
         )
         self.jit_measure = jax.jit(self.measure, static_argnums=(2, 3))
-        self._jit_reset = jax.jit(jax.vmap(self._test_env.reset))
+        reset = jax.vmap(self._test_env.reset)
+        self._jit_reset = jax.jit(reset, compiler_options=base.QUICK_COMPILE)
         self._jit_walk = jax.jit(self._walk)
 
     def init(self, key: Key[Array, ""]) -> LowState:
@@ -188,7 +189,10 @@ class LowTrainer:
         Returns:
           Both on the host; T is `num_subgoals` times the steps per subgoal.
         """
-        envs = self._jit_reset(self._test_keys(key, num_envs))
+        # Committed to a device, as the next states are: else walking is compiled a second time.
+        envs = jax.device_put(
+            self._jit_reset(self._test_keys(key, num_envs)), jax.local_devices()[0]
+        )
         parts = []
         for number in range(1, num_subgoals + 1):
             envs, steps = self._jit_walk(envs, actor_params)

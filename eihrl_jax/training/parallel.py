@@ -76,6 +76,11 @@ def connect(
     jax.distributed.initialize(coordinator, num_processes, process_id)
 
 
+def or_one_on_cpu(num_devices: int | None) -> int | None:
+    """Returns the number of devices asked for; else 1 on CPU, where a device uses all cores."""
+    return num_devices or (1 if jax.default_backend() == "cpu" else None)
+
+
 def make_mesh(num_devices: int | None, **shared: int) -> jax.sharding.Mesh:
     """Lays the devices of all processes along one axis over which a run's work is spread.
 
@@ -112,7 +117,12 @@ def make_mesh(num_devices: int | None, **shared: int) -> jax.sharding.Mesh:
 def init(agent: peg_a2c.PegA2C, seed: int, mesh: jax.sharding.Mesh) -> peg_a2c.LearnerState:
     """Makes the initial state of a learner, every worker on its device."""
     # Made where they belong, instead of on one device and then spread.
-    return jax.jit(lambda: agent.init(jax.random.key(seed)), out_shardings=_shardings(mesh))()
+    init = jax.jit(
+        lambda: agent.init(jax.random.key(seed)),
+        out_shardings=_shardings(mesh),
+        compiler_options=base.QUICK_COMPILE,
+    )
+    return init()
 
 
 def repeated_update(agent: peg_a2c.PegA2C, num: int, mesh: jax.sharding.Mesh) -> jax.stages.Wrapped:
