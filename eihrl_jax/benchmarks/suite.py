@@ -51,7 +51,11 @@ class BenchmarkConfig:
 
 
 def main(config: BenchmarkConfig) -> None:
-    """Measures part by part, and writes what is there after each."""
+    """Measures part by part, and writes all results so far after each.
+
+    Raises:
+      base.UserError: the folder exists already, or a part lacks a package.
+    """
     # Never beside figures of another machine or version.
     if config.out.exists():
         raise base.UserError(f"out = {config.out} exists already; name a new folder")

@@ -1,8 +1,8 @@
 """The high level's training ground: the simulator moves the robot directly (paper, Sec. 3.2).
 
 A decision moves the body by one cell in the chosen direction plus a normal offset on both axes, and
-shows the robot in a recorded posture: epsilon-Invariant Randomization. There is no physics, so that
-a learner can try hundreds of thousands of decisions per second.
+shows the robot in a recorded posture (epsilon-Invariant Randomization). There is no physics, so a
+learner can make hundreds of thousands of decisions per second.
 
 Observation: bool [P, P, 3], a top view centred on the torso, north up; channels wall, unvisited
 goal, robot; or a map of what has been seen (see `raster`).
@@ -41,12 +41,11 @@ class Movement:
       step: nominal length of a move, units.
       sigma: standard deviation of the offset on each axis, drawn anew for every decision, units.
       num_substeps: number of equal parts of a move; each stops at walls, one axis after the other.
-      body_radius: half the side of the square that can't enter a wall, units.
-      anchored: whether a move also takes the robot back to the middle of its cell, see
-        `task.anchor`.
+      body_radius: half the side of the body, a square that can't enter a wall, units.
+      anchored: whether moves are measured from the middle of the robot's cell, see `task.anchor`.
 
     Raises:
-      base.UserError: out of the limits of these numbers.
+      base.UserError: a number is out of its limits.
     """
 
     step: Annotated[float, limits.Range(0.0, 4 * base.CELL)] = base.CELL
@@ -72,7 +71,7 @@ class OracleMazeState(struct.PyTreeNode):
     """The state of an episode.
 
     Attributes:
-      nav: where the episode stands.
+      nav: state of the task.
       xy: float32 [2], position of the torso, units.
       posture: int32, row of the bank of silhouettes that is shown.
       total_reward: float32, rewards of the episode so far.
@@ -128,7 +127,7 @@ class OracleMaze:
             )
 
         self.table = task.prepare(mazes, view.margin)
-        # Starts are drawn around the middle of a cell, whose neighbours may be walls.
+        # Starts are drawn around a cell's middle; neighbouring cells may be walls.
         room = base.CELL / 2 - float(self.table.mazes.start_jitter.max())
         if movement.body_radius > room:
             raise base.UserError(
@@ -155,12 +154,12 @@ class OracleMaze:
         anchored: bool = Movement.anchored,
         reward: base.Reward = "sparse",
     ) -> "OracleMaze":
-        """Builds the maze for a robot, whose postures are shown and whose radius stops at walls.
+        """Builds the maze for a robot, with its postures and its body's radius.
 
         Args:
           robot: the robot.
-          mazes: see the constructor, like all that isn't named here.
-          view: see there.
+          mazes: see the constructor.
+          view: see the constructor.
           gait: what the oracle imitates; None: a cell per subgoal, `base.SIGMA`, shipped postures.
           num_substeps: see `Movement`.
           anchored: see `Movement`.
@@ -179,7 +178,7 @@ class OracleMaze:
             body_radius=robot.body_radius * robot.units_per_metre,
             anchored=anchored,
         )
-        # Drawn once: a decision looks one up, and needs no kinematics.
+        # Drawn once: a decision needs a look-up, but no kinematics.
         silhouettes = postures.footprints(robot, gait.bank, view)
         return cls(mazes, silhouettes, view=view, movement=movement, reward=reward)
 
@@ -216,7 +215,7 @@ class OracleMaze:
 
         # One draw for offset and posture, because on CPU random bits are a large part of the cost.
         draws = jax.random.uniform(draw_key, (3,), minval=_ABOVE_MINUS_ONE, maxval=1.0)
-        # Paper, Sec. 3.2: epsilon is normal; sqrt(2) erf^-1 makes it of a uniform draw.
+        # Paper, Sec. 3.2: epsilon is normal; sqrt(2) erf^-1 makes a normal draw of a uniform one.
         noise = self.movement.sigma * math.sqrt(2.0) * jax.lax.erf_inv(draws[:2])
         displacement = self.movement.step * jnp.array(base.DIRECTIONS_XY)[action] + noise
         if self.movement.anchored:
@@ -280,7 +279,7 @@ class OracleMaze:
     def _state(
         self, inner: OracleMazeState, outcome: base.Outcome, key: Key[Array, ""]
     ) -> EnvState:
-        """Puts together what `reset` and `step` return."""
+        """Makes the state that `reset` and `step` return."""
         # Look first, so that a map shows what is in sight now.
         inner = inner.replace(nav=task.look(self.table, inner.nav, inner.xy, self.view))
 

@@ -1,15 +1,14 @@
-"""A robot with physics in a maze: the same task and picture as in `oracle_maze`.
+"""A robot with physics in a maze, with the same task and observation as in `oracle_maze`.
 
-A decision is `begin`, k times `control`, and `end`. What chooses the controls in between is the low
-level, which `envs.hierarchy` puts in.
+A decision is `begin`, k times `control`, and `end`; `envs.hierarchy` calls them with a low level's
+controls.
 
 Observation: bool [P, P, 3], a top view centred on the torso, north up, see `raster`; the silhouette
 is that of the robot's real posture. Or a map of what has been seen.
-Reward and end of an episode: those of `task`, along the torso's real path; dense reward is paid for
-where a decision ends. A fall costs nothing and ends nothing (there is no reset); a simulation that
-breaks down terminates the episode.
-Reset: maze, door and start are drawn anew; the robot stands there, turned at random, its joints a
-little off.
+Reward and end of an episode: those of `task`, along the torso's path; dense reward depends on where
+a decision ends. A fall has no penalty and doesn't end the episode; an unstable simulation does.
+Reset: maze, door and start are drawn anew; the robot stands there with a random heading and noise
+on its joints.
 """
 
 from typing import TypeAlias
@@ -39,7 +38,7 @@ class Body(struct.PyTreeNode):
       is_running: whether the episode goes on; else the robot rests.
       is_fallen: whether it lies on the ground now.
       has_fallen: whether it ever did in this episode.
-      is_broken: whether its simulation has broken down; it rests from then on.
+      is_broken: whether its simulation has become unstable; it rests from then on.
     """
 
     physics: engine_lib.PhysicsState
@@ -56,8 +55,8 @@ class Subgoal(struct.PyTreeNode):
 
     Attributes:
       maze: the episode's maze with its door open.
-      nav: where the episode stood when the subgoal was given.
-      start_xy: float32 [2], from where it counts, units: where the torso was then, or its anchor.
+      nav: state of the task when the subgoal was given.
+      start_xy: float32 [2], origin of the subgoal, units: where the torso was, or its anchor.
       direction: int32, the subgoal.
     """
 
@@ -71,7 +70,7 @@ class PhysicsMazeState(struct.PyTreeNode):
     """The state of an episode.
 
     Attributes:
-      nav: where the episode stands.
+      nav: state of the task.
       body: the robot.
       total_reward: float32, rewards of the episode so far.
     """
@@ -113,7 +112,8 @@ class PhysicsMaze:
           engine: moves the robot.
           mazes: one maze, or several with a leading axis of which each episode draws one.
           view: extent and resolution of the observation.
-          anchored: whether subgoals count from the middle of the robot's cell, see `task.anchor`.
+          anchored: whether subgoals are measured from the middle of the robot's cell, see
+            `task.anchor`.
           reward: "sparse" or "dense".
 
         Raises:
@@ -127,7 +127,7 @@ class PhysicsMaze:
         self._reward: base.Reward = reward
         self._engine = engine
         self._jitter = float(self.table.mazes.start_jitter.max())
-        # The silhouette is made of the posture at every decision: no bank could hold them all.
+        # The silhouette is drawn from the real posture at every decision, not from a bank.
         self._capsules = kinematics.capsules(engine.model, engine.robot.units_per_metre)
 
     @classmethod
@@ -171,14 +171,14 @@ class PhysicsMaze:
         return self._state(inner, base.Outcome.of_reset(), next_key)
 
     def begin(self, state: EnvState, direction: Int[Array, ""]) -> tuple[Subgoal, Body]:
-        """Begins a decision; in an episode that is over the robot rests through it."""
+        """Begins a decision; in an episode that is over the robot rests until its end."""
         inner = state.inner
         torso_xy = inner.body.physics.qpos[:2]
         subgoal = Subgoal(
-            # The door is drawn once per decision instead of in each of its k control steps.
+            # The door is put into the maze once per decision, not in each of its k control steps.
             maze=task.drawn_maze(self.table, inner.nav),
             nav=inner.nav,
-            # The low level is told how far it has come since: so it needs no training for anchors.
+            # The low level observes its displacement from here: no training with anchors is needed.
             start_xy=task.anchor(torso_xy) if self._anchored else torso_xy,
             direction=direction,
         )
@@ -195,14 +195,14 @@ class PhysicsMaze:
     def control(self, subgoal: Subgoal, body: Body, ctrl: Float[Array, " nu"]) -> Body:
         """Advances one control step; `ctrl` in [-1, 1].
 
-        The robot rests once the episode is over: with sparse reward when the last goal is reached,
-        and when its simulation has broken down.
+        The robot rests once the episode is over: with sparse reward after the last goal, and after
+        its simulation has become unstable.
         """
         physics, is_broken = body_lib.move(
             self._engine, body.physics, ctrl, subgoal.maze, body.is_running
         )
 
-        # Only to know which goals have been visited: `end` counts the decision and pays for it.
+        # Only for the visited goals: `end` counts the decision and computes its reward.
         nav = subgoal.nav.replace(visited=body.visited)
         nav, outcome = task.advance(self.table, nav, physics.qpos[None, :2], self._reward)
         is_fallen = body_lib.is_fallen(physics.qpos, self.robot)
@@ -233,7 +233,7 @@ class PhysicsMaze:
     def _state(
         self, inner: PhysicsMazeState, outcome: base.Outcome, key: Key[Array, ""]
     ) -> EnvState:
-        """Puts together what `reset` and `end` return."""
+        """Makes the state that `reset` and `end` return."""
         qpos = inner.body.physics.qpos
         # Look first, so that a map shows what is in sight now.
         inner = inner.replace(nav=task.look(self.table, inner.nav, qpos[:2], self.view))

@@ -13,7 +13,7 @@ Observation, form "flat": float32 [5 + P], P the robot's proprioception.
 
 Form "goal", for mazes of one goal: a dict of `observation`, the same without the goal, float32
 [3 + P]; `achieved_goal`, x and y of the torso; and `desired_goal`, x and y of the goal. Then there
-is `compute_reward` as well, and reward is what it says.
+is also `compute_reward`, which gives the reward of every step.
 
 Action: float32 [A], controls in [-1, 1].
 Reward, ends of an episode and reset: those of `goal_maze`.
@@ -38,7 +38,7 @@ from eihrl_jax.gym import envs, episodes, places
 from eihrl_jax.robots import robot as robot_lib
 
 Form = Literal["flat", "goal"]
-"""What an observation is: one vector, or a dict with the goal apart."""
+"""Form of an observation: one vector, or a dict with the goal separate."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +48,7 @@ class MazeTask:
     Attributes:
       robot: the robot.
       maze: the maze.
-      reward: sparse or dense.
+      reward_kind: sparse or dense.
       engine: physics engine.
       observation: form of the observation, flat or goal.
     """
@@ -64,7 +64,7 @@ class MazeTask:
         checks.one_of("reward", self.reward_kind, base.REWARDS)
         checks.one_of("engine", self.engine, base.ENGINES)
         checks.one_of("observation", self.observation, get_args(Form))
-        places.engine_of(self.robot, self.engine)  # says what is wrong with a robot
+        places.engine_of(self.robot, self.engine)  # raises if the robot can't be used
         if self.observation == "goal":
             self._check_goal()
 
@@ -78,7 +78,7 @@ class MazeTask:
         return goal_maze.GoalMaze(physics, self.maze.stacked(), reward=self.reward_kind)
 
     def see(self, obs: base.GoalObs) -> Array | dict[str, Array]:
-        """Returns an observation as Gymnasium has it."""
+        """Converts the environment's observation to one of the observation space."""
         centre_xy = jnp.asarray(self.centre_xy)
         xy, goal_xy = obs.xy - centre_xy, obs.goal_xy - centre_xy
         if self.observation == "flat":
@@ -105,7 +105,7 @@ class MazeTask:
         """Returns the environment's reward, or with goals that of `compute_reward`."""
         if self.observation == "flat":
             return reward
-        # Digit for digit what learners compute that put other goals in place of this one.
+        # Equal to the last bit to what hindsight learners compute for other goals.
         return np.asarray(self.compute_reward(final["achieved_goal"], final["desired_goal"]))
 
     def compute_reward(

@@ -1,9 +1,9 @@
 """Planning on a grid: value iteration (Tamar et al. 2016), and shortest paths to valuable cells.
 
-Grids come first and batches last, so that what happens in a cell happens in all maps of a batch at
-once, along a long stretch of memory. Ways are searched on boards that hold 32 cells in a word. No
-derivative is taken: `followed` tells of which cells a value consists, which is all that its
-derivative hangs on.
+The grid's axes come first and the batch's last, so an operation on a cell runs over all maps of a
+batch in contiguous memory. Paths are searched on bitboards that hold 32 cells in a word. Nothing
+here is differentiated: `followed` returns the cells that a value is a sum over, from which its
+gradient can be computed.
 """
 
 import functools
@@ -18,24 +18,23 @@ Four = tuple[Array, Array, Array, Array]
 """One array per direction, in the order of `base.DIRECTIONS_XY`."""
 
 NOWHERE = -1e9
-"""Stands for minus infinity, of which a gradient would make something that isn't a number."""
-
+"""Stands for minus infinity, with which gradients would be NaN."""
 
 GOAL = 1e5
-"""What a goal is worth, in moves: more than anything unseen, however far it is."""
+"""Worth of a goal, in moves: more than that of any unseen cell, however far the goal is."""
 
 _WORD = 32  # cells of a column that a word of a board holds, the northernmost in the lowest bit
 
 
 class Ways(NamedTuple):
-    """What there is to go for, through each of the four cells around the robot's.
+    """The best cell to reach through each of the four neighbours of the robot's cell.
 
     Attributes:
-      value: float32 [4, *b], the greatest of what cells are worth less the moves to get there from
-        the cell around the robot's; `NOWHERE` where no cell is nearest that way.
+      value: float32 [4, *b], the greatest worth of a cell less the moves to it from the neighbour;
+        `NOWHERE` if no shortest path leads through the neighbour.
       target: int32 [4, *b], the cell with that value, `row * columns + column`; of several the
-        first. -1 where there is none.
-      moves: float32 [4, *b], moves to it, from the cell around the robot's.
+        first. -1 if there is none.
+      moves: float32 [4, *b], moves to it from the neighbour.
     """
 
     value: Float[Array, "4 *b"]
@@ -49,13 +48,13 @@ def value_iteration(
     """Iterates V <- reward + gate * max of V over the four neighbours, from V = reward.
 
     Args:
-      reward: of being in each cell.
-      gate: what a cell lets through of its best neighbour's value, its discount; outside the grid
-        values are 0.
-      num_iterations: cells that values travel.
+      reward: of each cell.
+      gate: discount of each cell, by which its best neighbour's value is multiplied; outside the
+        grid values are 0.
+      num_iterations: how many cells values spread.
 
     Returns:
-      V, and what it was before each iteration.
+      V, and the values before each iteration.
 
     Source: Tamar et al. 2016, "Value Iteration Networks", Sec. 4.1; one action per neighbour.
     """
@@ -69,15 +68,15 @@ def value_iteration(
 
 
 def followed(before: Float[Array, "K n m *b"], cell: Int[Array, "*b"]) -> Int[Array, "K+1 *b"]:
-    """Returns the cells whose rewards and gates a cell's value consists of, itself the first.
+    """Returns the cells whose rewards and gates make up a cell's value, beginning with itself.
 
     Args:
       before: values before each iteration, see `value_iteration`.
-      cell: whose value is asked for, see `Ways.target`.
+      cell: index of the cell, see `Ways.target`.
 
     Returns:
       The cell, its best neighbour, and so on; of equal ones the first in the order of
-      `base.DIRECTIONS_XY`. -1 from where the best one lies outside the grid.
+      `base.DIRECTIONS_XY`. -1 from the first one outside the grid on.
     """
     rows, columns = before.shape[1:3]
 
@@ -101,21 +100,21 @@ def search(
     robot: Bool[Array, "n m *b"],
     num_moves: int | None = None,
 ) -> Ways:
-    """Searches for what is worth most less the moves to get there, all around the robot.
+    """Searches, breadth first, for the cells whose worth less the moves to them is greatest.
 
-    It ends when every cell has been reached, or earlier: what is farther away is worth less than
-    the greatest worth minus the moves to it, and of the four cells around the robot's none differs
-    by more than two moves from the best, since one can come back through the robot's own cell.
+    It ends when every cell has been reached, or earlier, when no farther cell can be better: its
+    value is at most the greatest worth less the moves to it, and the values of the four neighbours
+    differ by two moves at most, because a path may lead back through the robot's own cell.
 
     Args:
-      worth: of being in each cell, in moves; `NOWHERE` where there is nothing to go for. What is
-        more than half of `GOAL` is `GOAL`.
+      worth: of each cell, in moves; `NOWHERE` for a cell without worth. What is more than half of
+        `GOAL` counts as `GOAL`.
       is_open: cells that can be entered.
-      robot: true in one cell, which isn't at the rim and whose own worth doesn't count.
-      num_moves: length of the longest way from a cell around the robot's; None: any.
+      robot: true in one cell, which isn't at the border and whose own worth doesn't count.
+      num_moves: length of the longest path from a neighbour of the robot's cell; None: any.
 
     Returns:
-      The ways; exact where a value is above the greatest of the four minus 2.
+      The best cells; exact where a value is above the greatest of the four minus 2.
     """
     rows, columns = worth.shape[:2]
     is_target = is_open & ~robot & (worth > NOWHERE / 2)
@@ -148,12 +147,12 @@ def search(
 
 
 class _Wanted(NamedTuple):
-    """What is searched for.
+    """The targets of a search.
 
     Attributes:
-      targets: board of what is worth something.
+      targets: board of the cells with a worth.
       goals: board of those that are goals.
-      least: worth of the least that is no goal.
+      least: smallest worth of a target that isn't a goal.
     """
 
     targets: UInt32[Array, "N m *b"]
@@ -162,16 +161,16 @@ class _Wanted(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """How far a search has come.
+    """The state of a search.
 
     Attributes:
       num_moves: from the robot to the frontier.
-      frontier: boards [4, N, m, *b] of the cells so far away, by the cells around the robot's that
-        a shortest way leads through.
+      frontier: boards [4, N, m, *b] of the cells at this distance, by the neighbours of the robot's
+        cell through which a shortest path leads.
       free: board of the open cells that haven't been reached.
       through: boards of all cells that have been reached, as `frontier`.
       bits: boards of the bits of the number of moves to each cell, the lowest first.
-      best: at least so much is worth going for among what has been reached.
+      best: lower bound of the best value among the cells that have been reached.
     """
 
     num_moves: Int[Array, ""]
@@ -183,16 +182,16 @@ class _Search(NamedTuple):
 
 
 def _advance(wanted: _Wanted, search: _Search) -> _Search:
-    """Counts the cells of the frontier as reached, and takes it one move further."""
+    """Marks the frontier's cells as reached, and moves the frontier by one."""
     new = _either(list(search.frontier))
     free = search.free & ~new
-    # The bits of the number of moves, on the boards of which they are.
+    # Board k holds bit k of the number of moves.
     bits = tuple(
         jnp.where((search.num_moves >> k) & 1 == 1, board | new, board)
         for k, board in enumerate(search.bits)
     )
 
-    # What has been reached is worth at least what the least that is wanted would be.
+    # A target that has just been reached is worth at least the least worth of any.
     at_least = jnp.where((new & wanted.goals).any((0, 1)), GOAL, wanted.least)
     at_least -= search.num_moves.astype(jnp.float32)
     best = jnp.where((new & wanted.targets).any((0, 1)), at_least, NOWHERE)
@@ -213,14 +212,14 @@ def _best(
     through: UInt32[Array, "4 N m *b"],
     moves: Float[Array, "n m *b"],
 ) -> Ways:
-    """Returns the best cell of those to which a shortest way leads through each direction."""
+    """Returns the best cell among those with a shortest path through each neighbour."""
     rows, columns = value.shape[:2]
     cells = jnp.arange(rows * columns).reshape(rows, columns, *(1,) * (value.ndim - 2))
     values, targets = [], []
     for board in through:
         there = jnp.where(unpack(board, rows) > 0, value, NOWHERE)
         greatest = there.max((0, 1))
-        # The first that is as great: faster than `argmax`, which goes cell by cell.
+        # The first of the greatest: faster than `argmax`, which isn't vectorised on CPU.
         is_it = (there == greatest[None, None]) & (greatest > NOWHERE / 2)[None, None]
         values.append(greatest)
         targets.append(jnp.where(is_it, cells, rows * columns).min((0, 1)))
@@ -232,7 +231,7 @@ def _best(
 def look_up(
     grid: Shaped[Array, "n m *b"], cells: Int[Array, "..."], outside: float
 ) -> Shaped[Array, "..."]:
-    """Returns what a grid holds in cells, see `Ways.target`; `outside` for -1."""
+    """Returns a grid's entries at cells, see `Ways.target`; `outside` for -1."""
     flat = grid.reshape(-1, *grid.shape[2:])
     index = jnp.maximum(cells, 0).reshape(-1, *grid.shape[2:])
     found = jnp.take_along_axis(flat, index, 0, mode="promise_in_bounds").reshape(cells.shape)
@@ -240,7 +239,7 @@ def look_up(
 
 
 def at_sides(grid: Shaped[Array, "n m *b"], robot: Bool[Array, "n m *b"]) -> Shaped[Array, "4 *b"]:
-    """Returns what a grid holds in the four cells around the robot's, which isn't at the rim."""
+    """Returns a grid's entries at the four neighbours of the robot's cell, not at the border."""
     columns = grid.shape[1]
     here = jnp.argmax(robot.reshape(-1, *robot.shape[2:]), 0)
     return look_up(grid, here[None] + _steps(columns, here.ndim), 0)
@@ -276,21 +275,21 @@ def unpack(board: UInt32[Array, "N m *b"], rows: int) -> UInt32[Array, "n m *b"]
 
 
 def _moved(board: UInt32[Array, "N m *b"]) -> Four:
-    """Returns a board whose cells have moved by one in x+, x-, y+ and y-."""
+    """Returns four boards, shifted by one cell in x+, x-, y+ and y-."""
     nothing = [(0, 0)] * (board.ndim - 2)
     east = jnp.pad(board[:, :-1], [(0, 0), (1, 0), *nothing])
     west = jnp.pad(board[:, 1:], [(0, 0), (0, 1), *nothing])
-    # From one word into the next, the lowest bit being the northernmost cell.
+    # The carry from one word to the next; the lowest bit is the northernmost cell.
     into_south = jnp.pad(board[:-1] >> (_WORD - 1), [(1, 0), (0, 0), *nothing])
     into_north = jnp.pad(board[1:] << (_WORD - 1), [(0, 1), (0, 0), *nothing])
     return east, west, (board >> 1) | into_north, (board << 1) | into_south
 
 
 def _either(boards: Sequence[UInt32[Array, "N m *b"]]) -> UInt32[Array, "N m *b"]:
-    """Returns the cells that are on any of some boards."""
+    """Returns the union of boards."""
     return functools.reduce(jnp.bitwise_or, boards)
 
 
 def _steps(columns: int, num_axes: int) -> Int[Array, "4 *ones"]:
-    """Returns what each direction adds to the number of a cell."""
+    """Returns the offset of a cell's index for each direction."""
     return jnp.array([1, -1, -columns, columns]).reshape(4, *(1,) * num_axes)

@@ -304,7 +304,11 @@ def baselines(runs: Runs) -> page.Section:
 
 
 def ablations(runs: Runs) -> page.Section:
-    """Section of ablations, from folders that `ablate_high` has written."""
+    """Section of ablations, from folders that `ablate_high` has written.
+
+    Raises:
+      base.UserError: a folder holds no evaluations.
+    """
     shown, pictures = [], []
     for folder in runs.options.ablations:
         files = sorted((folder / "evaluations").glob("*/eval.json"), key=_ablation_order)

@@ -52,7 +52,7 @@ def look_ahead(
     is_valid: Bool[Array, "E J"],
     options: config_lib.Exploration,
 ) -> ExplorationState:
-    """Computes every square's novelty anew from all stored episodes.
+    """Computes every square's novelty count from all stored episodes; a low count means novel.
 
     N_j = n(square of s_j) + gamma N_{j+1} along the ends of an episode's periods; a square's
     novelty is (sum of N + 1) / (number + 1) over those that lie in it.
@@ -92,16 +92,17 @@ def select(
 
     Args:
       state: what is known about the squares.
-      here: where the robot is in the subgoal space.
-      candidates: where states lie there that have been visited.
-      has_potential: whether squares that were missed are avoided already.
+      here: the robot's embedding.
+      candidates: embeddings of visited states.
+      has_potential: whether squares whose subgoals were missed are avoided already.
       options: reach and weights.
       key: consumed, to choose where nothing is within reach.
 
     Returns:
-      The candidate of the least novelty count plus weighted misses; any, if none is within reach.
+      The candidate with the smallest novelty count plus weighted misses; a random one, if none is
+      within reach.
     """
-    # A candidate that lies where the robot is would ask nothing of it.
+    # A candidate at the robot's own place would be no subgoal.
     distance = jnp.sqrt(jnp.square(candidates - here[None]).sum(-1))
     is_near = (distance > 0.0) & (distance < options.reach)
 
@@ -118,8 +119,8 @@ def select(
 def square(
     embedding: Float[Array, "*B 2"], side: float
 ) -> tuple[Int[Array, "*B"], Int[Array, "*B"]]:
-    """Returns the numbers of the squares that embeddings lie in."""
-    # Squares are counted from the middle; unclipped, negative numbers would count from the end.
+    """Returns the indices of the squares that embeddings lie in."""
+    # Indices begin at the middle; they are clipped, as negative ones would count from the end.
     index = jnp.floor(embedding / side).astype(jnp.int32) + NUM_SQUARES // 2
     index = jnp.clip(index, 0, NUM_SQUARES - 1)
     return index[..., 0], index[..., 1]

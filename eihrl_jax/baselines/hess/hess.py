@@ -1,4 +1,4 @@
-"""HESS as a whole: a round is one episode in every environment, and what is learned from it."""
+"""HESS as a whole: a round is one episode in every environment, then learning from them."""
 
 import functools
 
@@ -41,7 +41,8 @@ class Hess:
 
     Attributes:
       options: of the run.
-      steps_per_round: control steps of all environments in a round, rests included.
+      steps_per_round: control steps of all environments in a round, those after an episode's end
+        included.
     """
 
     def __init__(self, world: World, options: config_lib.HessConfig):
@@ -148,10 +149,11 @@ class Hess:
         options = self.options.exploration
         is_due = periods.is_due(state.num_steps, self.steps_per_round, options.every)
 
-        # Before anything has been counted, squares that hold much would be the least novel ones.
+        # Not before visits are counted: the squares visited most would have the lowest novelty
+        # count, and so be taken for the most novel ones.
         is_due &= state.squares.visits.any()
 
-        # Embedded anew: what is stored tells where the ends lay in the space of an earlier time.
+        # Embedded again, because stored embeddings are those of an earlier subgoal space.
         obs, is_there = episodes_lib.period_ends(state.episodes)
         ends = self._learning.space.embed(state.learned.space.network.params, obs)
         return jax.lax.cond(
@@ -190,14 +192,14 @@ class Hess:
     def _choose(
         self, state: learning.HessState, obs: base.GoalObs, key: Key[Array, ""]
     ) -> ExplorationChoice:
-        """Chooses where to go while exploring."""
+        """Chooses the next subgoal: the manager's, or one to explore with."""
         options = self.options.exploration
         share_key, act_key, any_key, draw_key, select_key = jax.random.split(key, 5)
         space, manager = self._learning.space, self._learning.manager
         params = state.learned.space.network.params
         here = space.embed(params, self.see(obs))
 
-        # What the manager would do, at first anything.
+        # The manager's choice, at first a random one.
         own = manager.sample(
             state.learned.manager.actor.params, self._manager_features(obs), act_key
         )
@@ -205,7 +207,7 @@ class Hess:
         drawn = jax.random.uniform(any_key, own.shape, minval=-reach, maxval=reach)
         own = jnp.where(state.num_steps < self.options.random_steps, drawn, own)
 
-        # Li et al. 2021, Sec. 3.2 and 3.3: what exploration would do, later beyond what it chose.
+        # Li et al. 2021, Sec. 3.2 and 3.3: exploration's choice, later extended beyond it.
         steps = episodes_lib.sample(state.episodes, (options.num_candidates,), draw_key)
         candidates = space.embed(params, steps.obs)
         has_potential = state.num_steps >= options.potential_step
@@ -213,7 +215,7 @@ class Hess:
             state.squares, here, candidates, has_potential, options, select_key
         )
         way = chosen - here
-        # Where none is within reach, what was chosen may lie where the robot is.
+        # If none is within reach, the choice may be the robot's own place, at distance 0.
         length = jnp.sqrt(jnp.square(way).sum() + 1e-12)
         beyond = jnp.where(has_potential, options.extension, 0.0) * way / length
 
@@ -222,7 +224,7 @@ class Hess:
         return ExplorationChoice(
             target=here + action,
             action=action,
-            # A miss counts for the square of what was chosen, not for that of the place beyond.
+            # A miss counts for the chosen square, not for that of the extended target.
             embedding=jnp.where(is_exploring, chosen, here + own),
             is_exploring=is_exploring,
         )
@@ -242,8 +244,8 @@ class Hess:
         weight = was_there.astype(jnp.float32)
         visits = exploration.add(squares.visits, batch.embedding, weight, side)
 
-        # A robot whose episode has ended at its goal doesn't go on to its subgoal. An episode's
-        # last subgoal isn't looked back on, as released: time may be up before it.
+        # Not for a robot whose episode ended at its goal before it reached the subgoal, and, as
+        # released, not for an episode's last subgoal, before which time may be up.
         choice = jax.tree.map(lambda leaf: leaf[:, 0].swapaxes(0, 1), period.subgoal)
         has_ended = period.terminated[:, -1].at[-1].set(True).T
         is_selected = period.is_running[:, 0].T & choice.is_exploring & ~has_ended
@@ -278,7 +280,7 @@ class Hess:
         self, state: learning.HessState, period: periods.Period[ExplorationChoice]
     ) -> episodes_lib.Episodes:
         """Returns a round as episodes."""
-        # From [J, c, N] to [N, J c], with what was seen after the last step behind it.
+        # From [J, c, N] to [N, J c], followed by the observation after the last step.
         seen, action, is_running = jax.tree.map(
             lambda leaf: tree.merge_axes(leaf, 2).swapaxes(0, 1),
             (self.see(period.obs), period.action, period.is_running),
@@ -287,7 +289,7 @@ class Hess:
         last = self.see(period.next_obs)[-1, -1]
         seen = jnp.concatenate([seen, last[:, None]], axis=1)
 
-        # Embedded by the space that was acted in, in which the subgoals are places as well.
+        # Embedded by the space in which the subgoals were chosen.
         return episodes_lib.Episodes(
             obs=seen,
             embedding=self._learning.space.embed(state.learned.space.network.params, seen),
@@ -300,12 +302,12 @@ class Hess:
         )
 
     def _subgoal_rows(self, period: periods.Period[ExplorationChoice]) -> learning.SubgoalRow:
-        """Returns what the manager learns from a round, with one leading axis."""
+        """Returns the manager's transitions of a round, with one leading axis."""
         options = self.options
         ends = periods.is_task_over(period, options.reward)
 
-        # A robot that has ended stays where it is, so that the last step tells where a period led.
-        # A round fills as many rows whoever rests: rows of rest are told by `is_running`.
+        # After its episode's end a robot stays where it is, so the last step has the result of the
+        # period. Every round has as many rows; those after an end have `is_running` false.
         rows = learning.SubgoalRow(
             transition=base.Transition(
                 obs=self._manager_features(period.obs)[:, 0],

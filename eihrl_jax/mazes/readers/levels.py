@@ -28,13 +28,17 @@ def is_jaxued(text: str) -> bool:
 
 
 def is_minimax(text: str) -> bool:
-    """Returns whether a text has rows of zeros and ones, or names what minimax does."""
+    """Returns whether a text begins with a row of zeros and ones, or has one of minimax's names."""
     lines = text.split("\n")
     return "agent_pos" in text or "wall_map" in text or any(_is_row(line) for line in lines[:1])
 
 
 def jaxued(text: str, name: str) -> plan_lib.Plan:
-    """Reads a JaxUED level."""
+    """Reads a JaxUED level; `name` is the maze's in messages.
+
+    Raises:
+      base.UserError: it isn't such a level; the text names the row and column, or the entry.
+    """
     rows = [line.strip() for line in text.strip().split("\n")]
     for i, row in enumerate(rows):
         parsing.check_length(len(row), i, len(rows[0]), name)
@@ -48,11 +52,15 @@ def jaxued(text: str, name: str) -> plan_lib.Plan:
 
 
 def minimax(text: str, name: str) -> plan_lib.Plan:
-    """Reads a minimax maze from rows as they stand in its source, or without anything around."""
+    """Reads a minimax maze from its Python source, or from rows alone.
+
+    Raises:
+      base.UserError: it isn't such a maze; the text names the row and column, or the entry.
+    """
     lines = text.split("\n")
     first = next((i for i, line in enumerate(lines) if _is_row(line)), len(lines))
 
-    # Up to a line of words, or of brackets alone: what stands between belongs to the rows.
+    # Rows end at a line with words, or with brackets alone.
     rows = []
     for line in lines[first:]:
         if re.search("[A-Za-z]", line) or not line.strip(" \t[](),"):
@@ -62,7 +70,11 @@ def minimax(text: str, name: str) -> plan_lib.Plan:
 
 
 def minimax_json(content: dict[str, Any], name: str) -> plan_lib.Plan:
-    """Reads a minimax maze from a JSON object with `wall_map`, `agent_pos` and `goal_pos`."""
+    """Reads a minimax maze from a JSON object with `wall_map`, `agent_pos` and `goal_pos`.
+
+    Raises:
+      base.UserError: it isn't such a maze; the text names the row and column, or the entry.
+    """
     rows = content.get("wall_map")
     if not isinstance(rows, list):
         raise base.UserError(f"{name}: a JSON object without a list 'wall_map' is no minimax maze")
@@ -70,7 +82,7 @@ def minimax_json(content: dict[str, Any], name: str) -> plan_lib.Plan:
     if not all(isinstance(row, list) for row in split):
         raise base.UserError(f"{name}: wall_map must be a list of rows")
 
-    # As text, in which places are looked for; names of other entries don't matter.
+    # Positions are searched in text, as in a source, so that lists and strings are read alike.
     agent, goal = (f"{key} = {content.get(key)}" for key in ("agent_pos", "goal_pos"))
     cells = [[str(int(c)) if isinstance(c, bool) else str(c) for c in row] for row in split]
     return _minimax(cells, _positions(agent, "agent_pos"), _positions(goal, "goal_pos"), name)
@@ -116,7 +128,7 @@ def _is_row(line: str) -> re.Match[str] | None:
 
 
 def _positions(text: str, word: str) -> list[paths.Cell]:
-    """Finds the places, x and y, that follow a word, as cells."""
+    """Returns the positions that follow a word, x and y, as cells (row, column)."""
     _, _, after = text.partition(word)
     # Up to the next name: what follows belongs to something else.
     after = re.split(r"[A-Za-z_]{2,}", after, maxsplit=1)[0]

@@ -28,14 +28,18 @@ _NAMES = {"1": "#", "0": ".", "r": "S", "g": "G", "c": "*"}
 """What stands in a list, and what it is in our legend."""
 
 _HEADER_ERRORS = (EOFError, KeyError, SyntaxError, TypeError, ValueError, tokenize.TokenError)
-"""What NumPy raises at a damaged header."""
+"""What NumPy raises for a damaged header."""
 
 _MAX_HEADER = 1_000
-"""Bytes that the header of an array of cells takes at most."""
+"""Largest size of an array's header, bytes."""
 
 
 def of_json(text: str, options: reading.ReadingConfig, name: str) -> plan_lib.Plan:
-    """Reads a list of rows, or an object of minimax, in JSON."""
+    """Reads a list of rows, or an object of minimax, in JSON; `name` is the maze's in messages.
+
+    Raises:
+      base.UserError: it isn't such a maze; the text names the row and column, or the entry.
+    """
     try:
         content = json.loads(text)
     except json.JSONDecodeError as error:
@@ -53,9 +57,13 @@ def of_json(text: str, options: reading.ReadingConfig, name: str) -> plan_lib.Pl
 
 
 def of_npy(data: bytes, options: reading.ReadingConfig, name: str) -> plan_lib.Plan:
-    """Reads a NumPy array of numbers or characters; arrays of objects would run code."""
+    """Reads a NumPy array of numbers or characters; arrays of objects would run code.
+
+    Raises:
+      base.UserError: it isn't such a maze; the text names the row and column, or the entry.
+    """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what Python 2 has written, which is read all the same
+        warnings.simplefilter("ignore")  # about arrays written by Python 2, which are read as well
         return _of_npy(data, options, name)
 
 
@@ -68,7 +76,7 @@ def _of_npy(data: bytes, options: reading.ReadingConfig, name: str) -> plan_lib.
             (2, 0): np.lib.format.read_array_header_2_0,
         }[version]
         shape, _, dtype = read_header(stream, max_header_size=_MAX_HEADER)
-        # Before anything is allocated: a header may promise any number of cells.
+        # Checked before anything is allocated, because a header may claim any size.
         is_whole = math.prod(shape) * dtype.itemsize == len(data) - stream.tell()
     except (*_HEADER_ERRORS, RecursionError):
         raise base.UserError(f"{name}: a damaged .npy file") from None
@@ -84,7 +92,11 @@ def _of_npy(data: bytes, options: reading.ReadingConfig, name: str) -> plan_lib.
 
 
 def of_d4rl(text: str, name: str) -> plan_lib.Plan:
-    """Reads a string of D4RL's maze2d."""
+    """Reads a string of D4RL's maze2d.
+
+    Raises:
+      base.UserError: it isn't such a string; the text names the row and column, or the entry.
+    """
     rows = [row.strip("\n\t\"' ") for row in text.strip().strip("\\").split("\\")]
     for i, row in enumerate(rows):
         for j, character in enumerate(row):
@@ -122,7 +134,7 @@ def _of_rows(rows: Any, options: reading.ReadingConfig, name: str) -> plan_lib.P
         [[_mark(c, i, j, name) for j, c in enumerate(row)] for i, row in enumerate(rows)]
     )
     free = grid != "#"
-    # A kind of place that isn't marked at all is anywhere on the floor.
+    # Without any marked start (or goal) every free cell is one.
     is_start, is_goal = np.isin(grid, ["S", "*"]), np.isin(grid, ["G", "*"])
     is_start = is_start if is_start.any() else grid == "."
     is_goal = is_goal if is_goal.any() else grid == "."

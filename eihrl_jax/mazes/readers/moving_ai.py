@@ -38,7 +38,17 @@ def is_scenarios(text: str) -> bool:
 def of_map(
     text: str, scenarios: str | None, options: reading.ReadingConfig, name: str
 ) -> plan_lib.Plan:
-    """Reads a map, with start and goal of one of its scenarios where there are any."""
+    """Reads a map.
+
+    Args:
+      text: the map.
+      scenarios: the file of its scenarios; None: the maze has no start and goal yet.
+      options: `scenario` is the number of the scenario whose start and goal are taken.
+      name: the maze's in messages.
+
+    Raises:
+      base.UserError: it isn't such a map, or the scenario isn't one of this map.
+    """
     lines = [line.rstrip() for line in text.rstrip().split("\n")]
     height, width = _header(lines[:4], name)
     rows = lines[4:]
@@ -65,8 +75,8 @@ def of_map(
 
 
 def map_of(scenarios: str, path: pathlib.Path, name: str) -> pathlib.Path:
-    """Returns the file of the map that a scenario file beside it belongs to."""
-    # By its own name first: the name inside often has folders of a computer elsewhere.
+    """Returns the path of the map that a scenario file belongs to, in the same folder."""
+    # By the scenario file's name first: the name inside often has folders of another computer.
     beside = path.with_suffix("")
     if path.suffix == SUFFIX and beside.is_file():
         return beside
@@ -108,7 +118,7 @@ def _fields(text: str, number: int, name: str) -> list[str]:
         raise base.UserError(f"{name}: scenario = {number}, but there are {len(lines)}")
 
     fields = lines[number - 1].split("\t")
-    # Tabs became blanks in some copies; names of maps may have blanks where there are tabs.
+    # Some copies have blanks in place of tabs; where there are tabs, names may hold blanks.
     if len(fields) == 1:
         fields = fields[0].split()
     if len(fields) != _NUM_FIELDS:

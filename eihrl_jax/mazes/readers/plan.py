@@ -19,8 +19,8 @@ class Plan:
     Attributes:
       kind: what the file is, e.g. "JaxUED level".
       grid: [R, C] characters of the legend of `parsing`, outer ring included.
-      first: where on the grid row 1, column 1 of the file lies.
-      num_decisions: time limit that belongs to the kind of file; None: none does.
+      first: cell of the grid at which row 1, column 1 of the file lies.
+      num_decisions: time limit of this kind of file; None: it has none.
       head: what stands above the rows of our own files.
       from_metres: row and column on the grid, fractions counted from 0, of x and y in metres; None
         where the file knows no metres.
@@ -40,7 +40,11 @@ class Plan:
         return "\n".join([*head, *("".join(row) for row in self.grid)])
 
     def with_places(self, options: reading.ReadingConfig, name: str) -> "Plan":
-        """Returns the plan with start and goal where the options want them."""
+        """Returns the plan with the options' start and goal in place of the file's.
+
+        Raises:
+          base.UserError: one of them is in a wall, outside, or the only start.
+        """
         grid = self.grid.copy()
         for what, place, mark in (("start", options.start, "S"), ("goal", options.goal, "1")):
             if place is None:
@@ -75,7 +79,7 @@ def _shown(place: reading.Place) -> str:
 
 
 def _wipe(grid: np.ndarray, what: str) -> None:
-    """Takes the file's own starts or goals off a grid."""
+    """Removes the file's own starts or goals from a grid, in place."""
     swaps = {"S": ".", "*": "G"} if what == "start" else {"G": ".", "*": "S", "D": "#"}
     if what == "goal":
         swaps |= dict.fromkeys(parsing.DIGITS, ".")
