@@ -21,11 +21,11 @@ from eihrl_jax.ops import tanh_normal
 
 
 class DroqState(struct.PyTreeNode):
-    """All that the learner learns with.
+    """Parameters and optimisers of the learner.
 
     Attributes:
       actor_params: of `networks.droq.Actor`.
-      average_params: moving average of `actor_params`, which acts where nothing is to be explored.
+      average_params: moving average of `actor_params`, which acts without exploration.
       critic_params: of M `networks.droq.Critic`s, a tuple.
       target_params: moving average of `critic_params`.
       log_temperature: float32, log alpha.
@@ -107,7 +107,7 @@ class Droq:
         """Updates the critics and their targets once, every `actor_period` times also the actor.
 
         Args:
-          state: where the learner is.
+          state: of the learner.
           batch: transitions with leading axis B.
           key: consumed.
 
@@ -242,7 +242,7 @@ class Droq:
         action: Float[Array, "B A"],
         key: Key[Array, ""],
     ) -> Float[Array, "M B"]:
-        """Returns every critic's values, units dropped; unrolled, faster than batched on CPU."""
+        """Returns every critic's values with dropout; unrolled: faster than `vmap` on CPU."""
         keys = jax.random.split(key, len(critic_params))
         return jnp.stack(
             [

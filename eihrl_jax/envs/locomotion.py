@@ -1,7 +1,7 @@
 """The low level's task: to follow a subgoal, a direction that changes every k control steps.
 
-Paper, Sec. 2 (eq. 1) and Sec. 3.2. `low_reward` pays a step, `experience` stores it, and `low_obs`
-makes the network's input of an observation.
+Paper, Sec. 2 (eq. 1) and Sec. 3.2. `low_reward` has the reward, `experience` what is stored of a
+step, and `low_obs` the network's input.
 """
 
 from typing import TypeAlias
@@ -34,8 +34,8 @@ class LocomotionState(struct.PyTreeNode):
     Attributes:
       physics: the robot's state.
       room: int32, index of the room it is in.
-      subgoal_xy: float32 [2], from where the subgoal counts, units: where the torso was when it was
-        given, or its anchor.
+      subgoal_xy: float32 [2], origin of the subgoal, units: where the torso was when it was given,
+        or its anchor.
       direction: int32, the subgoal.
       step: int32, control steps since the episode's start.
     """
@@ -56,8 +56,8 @@ class Locomotion:
     Observation: `low_obs.LowObs`. Action: controls [nu] in [-1, 1]. Reward: see `low_reward`.
     Terminates when the robot falls, if that ends episodes, or the simulation breaks down; truncated
     after `episode_steps` control steps. Reset: a random room and start, random yaw, noise on joints
-    and velocities, or a throw. In corridors only directions that are free are given, and subgoals
-    are anchored.
+    and velocities, or a throw. In corridors only directions without a wall ahead are drawn, and
+    subgoals are anchored.
 
     Metrics, per step: `step_x` and `step_y`, the torso's movement in units; `switched` 1 where a
     subgoal has just ended, then `along` and `lateral` hold its displacement in units; `upright` as
@@ -85,11 +85,11 @@ class Locomotion:
           episode_steps: control steps per episode.
           ends_at_fall: whether a fall terminates; else the robot may get up again.
           thrown_share: share of the episodes that begin with a throw, see `recovery.thrown`.
-          anchored: whether subgoals count from the middle of the robot's cell in all rooms, see
-            `task.anchor`; in corridors they always do.
+          anchored: whether subgoals are measured from the middle of the robot's cell in all rooms,
+            see `task.anchor`; in corridors they always are.
 
         Raises:
-          base.UserError: a robot is to be thrown that can't fall.
+          base.UserError: `thrown_share` is above 0 for a robot that can't fall.
         """
         if thrown_share and engine.robot.root != "free":
             raise base.UserError(
@@ -118,7 +118,7 @@ class Locomotion:
           config: the run's options; without rooms it is on open floor.
 
         Raises:
-          base.UserError: a robot is to be thrown that can't fall.
+          base.UserError: `thrown_share` is above 0 for a robot that can't fall.
         """
         floor = rooms_lib.open_floor(start_jitter=config.start_jitter)
         if config.num_rooms:
@@ -175,7 +175,7 @@ class Locomotion:
         before, k = inner.physics, self.robot.steps_per_subgoal
         key, direction_key = jax.random.split(state.key)
 
-        # Nobody rests: episodes that end begin anew at once, see `wrappers.AutoReset`.
+        # Always running: `wrappers.AutoReset` begins a new episode at once.
         after, is_broken = body_lib.move(self._engine, before, action, self.room(inner.room))
 
         was_down, is_down = (body_lib.is_fallen(x.qpos, self.robot) for x in (before, after))
@@ -197,7 +197,7 @@ class Locomotion:
             "along": has_completed * along,
             "lateral": has_completed * lateral,
             "upright": upright,
-            # Told once, in the step of the fall, where a robot may lie for longer.
+            # 1 only in the step of the fall, though a robot may lie there for longer.
             "fell": is_down & (self._ends_at_fall | ~was_down),
             "broke_down": is_broken,
         }
@@ -227,7 +227,7 @@ class Locomotion:
         return self._rooms.is_corridor[index]
 
     def _origin(self, room: Int[Array, ""], xy: Float[Array, "2"]) -> Float[Array, "2"]:
-        """Returns from where a subgoal counts that is given at `xy`, units."""
+        """Returns the origin of a subgoal that is given at `xy`, units."""
         if self._anchored:
             return task.anchor(xy)
         if not self._has_corridors:

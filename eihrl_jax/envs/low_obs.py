@@ -28,7 +28,8 @@ class LowObs(struct.PyTreeNode):
 
     Attributes:
       proprioception: float32 [P], qpos without x and y, then qvel; units, radians, per second.
-      displacement_xy: float32 [2], movement since the subgoal was given, units, world frame.
+      displacement_xy: float32 [2], displacement from the subgoal's origin (where the torso was when
+        it was given, or its anchor, see `task.anchor`), units, world frame.
       time_left: float32, fraction of the subgoal's k steps that is left, in (0, 1].
       direction: int32, the subgoal: 0 to 3 for x+, x-, y+, y-.
     """
@@ -98,7 +99,7 @@ def ctrl_from_action(
     robot: robot_lib.Robot,
     options: low_config.LowInput,
 ) -> Float[Array, " nu"]:
-    """Returns the controls of a network's action, which is one of the frame that it sees."""
+    """Converts a network's action, which is in the frame of its features, to controls."""
     symmetry = _symmetry(robot, options)
     if symmetry is not None:
         order, signs = symmetry_lib.inverse(*symmetry.control_tables())
@@ -128,7 +129,7 @@ def action_from_ctrl(
 
 
 def _scale(robot: robot_lib.Robot, options: low_config.LowInput) -> float:
-    """Returns the controls of an action of 1."""
+    """Returns the controls that an action of 1 means."""
     return robot.recovery_scale if options.full_range else 1.0
 
 
@@ -153,7 +154,7 @@ _ODD = {"free": ([0, 1, 0, 1], [1, 0, 1]), "planar": ([0, 1], [1]), "slide": ([]
 
 
 def _split(proprioception: Float[Array, " P"], robot: robot_lib.Robot) -> _Body:
-    """Takes proprioception apart; a yaw becomes a vector, so that full turns don't add up."""
+    """Splits proprioception; a yaw becomes cosine and sine, so that full turns don't matter."""
     height, orientation, xy, z, spin = _SIZES[robot.root]
     num_joints = (proprioception.shape[0] - sum(_SIZES[robot.root])) // 2  # in qpos and in qvel
     sizes = (height, orientation, num_joints, xy, z, spin)

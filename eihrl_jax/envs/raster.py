@@ -32,25 +32,25 @@ Picture: TypeAlias = Bool[Array, "n m C"]
 """A square patch of pixels, or a map of cells, see `View.obs_shape`."""
 
 WHOLE_MARGIN = 8
-"""Cells that the map of a whole maze goes on beyond it, so that it doesn't tell where it ends."""
+"""Cells by which a map of a whole maze extends beyond it, so that the border isn't shown."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class View:
-    """The square that the high level sees.
+    """The square patch or the map that the high level sees.
 
     Attributes:
       extent: side in units, 3 to 45.
       pixels: side in pixels, 3 to 128.
-      map_radius: cells to every side of the robot's on the map that is shown instead of the square,
-        up to 300; 0: no map.
-      map_shape: rows and columns of the mazes that are shown as a whole instead, the largest that
-        there is, wherever in them the robot is; None: the map is around the robot.
+      map_radius: cells to every side of the robot's cell on a map, which is shown instead of the
+        patch, up to 300; 0: no map.
+      map_shape: rows and columns of the largest maze, for a map of whole mazes; None: the map is
+        around the robot.
       knows: what is on the map from the start: "nothing", the cells of the "goal", or the whole
         "map".
 
     Raises:
-      base.UserError: out of these limits, or something is known and there is no map to show it.
+      base.UserError: out of these limits, or `knows` is given without a map.
     """
 
     # The cells of one row have to fit into half a word.
@@ -169,7 +169,7 @@ def draw(
     Args:
       codes: codes (see `mazes.maze.codes`) of the cells of the window.
       xy: the torso's position, units.
-      visited: goals that have been paid; they are no longer drawn.
+      visited: goals that have been visited; they are no longer drawn.
       silhouette: the robot, packed.
       view: extent and resolution.
 
@@ -228,7 +228,7 @@ def draw_map(
     Args:
       codes: codes (see `mazes.maze.codes`) of the cells.
       seen: cells that have been in sight, or are known.
-      visited: goals that have been paid; they are no longer drawn.
+      visited: goals that have been visited; they are no longer drawn.
       robot_ij: row and column of the robot's cell on the map.
 
     Returns:

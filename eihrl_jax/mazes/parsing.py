@@ -1,4 +1,4 @@
-"""Turns the text of a maze into the pytree, and says by row and column what is wrong with it.
+"""Parses the text of a maze; errors name row and column.
 
 Legend: `#` wall, `.` free, `S` start candidate, `1` to `9` goal regions; candidates of which one is
 drawn per episode and becomes goal 1: `D` doors, of which the others are wall, or `G` free cells,
@@ -21,15 +21,15 @@ MIN_SIZE, MAX_SIZE = 3, 2050
 """Smallest and largest number of rows and of columns, outer ring included."""
 
 MIN_DECISIONS = 24
-"""Least time limit of a maze that brings none (the paper's least, Table 3 divided by 25)."""
+"""Smallest default time limit (the smallest of the paper's Table 3, divided by 25)."""
 
 START_JITTER = 0.5
-"""Half-width in units of the offset from a start's centre, where nothing else is asked for."""
+"""Default half-width of the offset from a start's centre, units."""
 
 DIGITS = "123456789"
 
 STARTS, CANDIDATES = "S*", "DG*"
-"""Where an episode may start, and of what one is drawn to be goal 1."""
+"""Characters of start candidates, and of candidates for goal 1."""
 
 _HEAD = re.compile(r"(decisions|jitter) +(\S+)")
 
@@ -90,7 +90,7 @@ def parse(
 
 
 def default_limit(maze: Maze) -> np.int32:
-    """Returns the time limit of a maze that brings none, int32 and in subgoals.
+    """Returns the default time limit of a maze, int32, in subgoals.
 
     Four times the moves of a shortest tour of the goals in their order from the worst start and to
     the worst candidate, at least 24.
@@ -99,7 +99,7 @@ def default_limit(maze: Maze) -> np.int32:
 
 
 def text_of(maze: Maze) -> str:
-    """Writes a maze as `parse` reads it, with head lines where it isn't as others are."""
+    """Writes a maze as `parse` reads it, with head lines for values that aren't the default."""
     wall, door, start = (np.asarray(mask) for mask in (maze.wall, maze.door, maze.start))
     goal = np.asarray(maze.goal)
     kinds = [wall & door, wall, door & start, door, start, goal > 0]
@@ -120,14 +120,14 @@ def read_grid(text: str, name: str) -> tuple[dict[str, str], np.ndarray]:
     Raises:
       base.UserError: an unknown character, rows of different lengths, or a grid out of its limits.
     """
-    # In every ending that editors write, but in no other that Unicode knows.
+    # All line ends that editors write, but not those that only Unicode defines.
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     head, lines = _split_head([line.rstrip(" \t") for line in lines])
     return head, _grid(lines, name)
 
 
 def _split_head(lines: list[str]) -> tuple[dict[str, str], list[str]]:
-    """Splits what stands above the rows from the rows."""
+    """Splits the head lines from the rows."""
     head: dict[str, str] = {}
     for i, line in enumerate(lines):
         found = _HEAD.fullmatch(line)
@@ -218,7 +218,7 @@ def _check_cells(grid: np.ndarray, name: str, first: paths.Cell) -> None:
             f"{name}: goal 1 at {_where(paths.cells(grid == '1')[0], first)} beside door "
             "candidates; the open door is goal 1, so regions are numbered from 2"
         )
-    # The first number that isn't the next one is named; there may be more of them behind it.
+    # The first gap is named; there may be more.
     for number, expected in zip(present, range(2 if has_door else 1, MAX_GOALS + 1), strict=False):
         if number != expected:
             where = _where(paths.cells(grid == str(number))[0], first)
@@ -229,7 +229,7 @@ def _check_ways(grid: np.ndarray, name: str, first: paths.Cell) -> None:
     """Checks that every start leads to every goal and door without passing another door."""
     starts = np.isin(grid, list(STARTS))
     source = paths.cells(starts)[0]
-    # What the first start reaches, the others reach by way of it.
+    # One start is enough: all starts must be connected with it.
     reached = paths.distances(~np.isin(grid, ["#", "D"]), [source])
     reached = paths.with_doors(reached, grid == "D")
 
@@ -249,5 +249,5 @@ def _check_ways(grid: np.ndarray, name: str, first: paths.Cell) -> None:
 
 
 def _where(cell: paths.Cell, first: paths.Cell = (0, 0)) -> str:
-    """Returns where a cell is in the words of a text editor, which counts from 1."""
+    """Describes a cell by row and column, counted from 1 as in text editors."""
     return f"row {cell[0] - first[0] + 1}, column {cell[1] - first[1] + 1}"

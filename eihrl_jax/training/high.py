@@ -22,7 +22,7 @@ from eihrl_jax.training import loop, parallel, sources
 from eihrl_jax.training import metrics as metrics_lib
 
 _EVALUATION_STREAM = 1
-"""Folded into the seed's key for evaluation, whose draws must not be those of training."""
+"""Folded into the seed's key for evaluation, so that its draws differ from training's."""
 
 
 def train(
@@ -37,15 +37,15 @@ def train(
 
     Args:
       config: the run's options.
-      with_physics: the task of `in_use` with physics, where evaluations are made a second time; in
-        metrics.csv they are called `walking/`, beside `eval/`.
-      watch: draws what is new in the run folder.
+      with_physics: the environment of `in_use` with physics, in which the policy is also evaluated;
+        its metrics have the prefix `walking/` instead of `eval/`.
+      watch: updates pictures in the run folder.
 
     Returns:
-      Seconds of training past compilation, evaluations and checkpoints included.
+      Seconds of training, with evaluations and checkpoints but without compilation.
 
     Raises:
-      base.UserError: an option or the run folder is not as it should be.
+      base.UserError: options don't fit together, or see `loop.run`.
     """
     folders.check_free(config.run, resume=config.resume)  # before anything slow
     parallel.connect(config.coordinator, config.num_processes, config.process_id)
@@ -118,7 +118,7 @@ class _Job(loop.Job[LearnerState]):
 
         def evaluate(state: LearnerState, done: int) -> dict[str, float]:
             row = {}
-            # `num_updates` only tells the draws apart; parameters are what is measured.
+            # Parameters are evaluated; `num_updates` only makes the draws of each row different.
             for prefix, measure in measures.items():
                 means = summarise(measure(*parallel.local((state.params, state.num_updates))))
                 means["reward"] = means["return"] / means["decisions"]
@@ -140,7 +140,7 @@ class _Job(loop.Job[LearnerState]):
         stream = jax.random.fold_in(jax.random.key(config.seed), _EVALUATION_STREAM)
 
         def measure(params, num_updates):
-            # By update, not by a counter: a run that goes on draws the same episodes.
+            # Derived from the update, so that a resumed run draws the same episodes.
             keys = jax.random.split(
                 jax.random.fold_in(stream, num_updates), config.num_eval_episodes
             )
@@ -152,7 +152,7 @@ class _Job(loop.Job[LearnerState]):
 
     def row(self, state: LearnerState, metrics: loop.Metrics) -> dict[str, float]:
         """Returns means over the episodes that ended, and over the updates."""
-        # Whole episodes, without a window, are all that began.
+        # Without a window every episode that began has ended: so the means are unbiased.
         window, is_fair = self.config.learner.window, True
         if window is not None:
             end = int(state.num_updates) * window
@@ -188,7 +188,7 @@ def make_env(task: high_config.Task, seed: int = 0) -> oracle_maze.OracleMaze:
 
     Args:
       task: maze, movement and view.
-      seed: which lot of random rooms is made, where the task asks for some.
+      seed: of random rooms, if the task has some.
 
     Raises:
       base.UserError: the maze or the robot is unknown, or numbers don't fit together.
@@ -226,8 +226,8 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
     """Builds the learner of a maze.
 
     Raises:
-      base.UserError: the window is longer than an episode, or there are more decisions than can be
-        counted.
+      base.UserError: the window is longer than an episode, or there are more than 2^31 - 1
+        decisions.
     """
     limits = env.table.mazes.num_decisions
     window = config.learner.window
@@ -239,8 +239,8 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
 
     network, learner = actor_critic.make(config.network), config.learner
     if config.task.reward == "dense":
-        # What is paid until the limit depends on the time left, which nobody sees: values that end
-        # there are noise, and with it the Random Square was learned to 40 % where it is to 97 %.
+        # The return until the limit depends on the time left, which isn't observed: bootstrapping
+        # at the limit removes that noise from the value's targets.
         learner = dataclasses.replace(learner, looks_beyond_limit=True)
 
     agent = peg_a2c.PegA2C(trained_in, network, learner, window or int(limits.max()))
@@ -250,7 +250,7 @@ def make_agent(env: oracle_maze.OracleMaze, config: high_config.HighConfig) -> p
 
 
 def decisions_per_update(agent: peg_a2c.PegA2C) -> int:
-    """Returns the decisions of an update; with whole episodes the most that there can be."""
+    """Returns the decisions per update, with whole episodes the most there can be."""
     return agent.horizon * agent.learner.num_workers
 
 
