@@ -47,7 +47,15 @@ def observe(
     direction: Int[Array, ""],
     robot: robot_lib.Robot,
 ) -> LowObs:
-    """Returns the low level's observation, the same in training and inside the hierarchy."""
+    """Returns the low level's observation, the same in training and in the hierarchy.
+
+    Args:
+      physics: the robot's state.
+      subgoal_xy: origin of the subgoal, units.
+      steps_left: control steps left of the subgoal, 1 to k.
+      direction: the subgoal.
+      robot: the robot.
+    """
     return LowObs(
         proprioception=physics.proprioception,
         displacement_xy=physics.qpos[:2] - subgoal_xy,

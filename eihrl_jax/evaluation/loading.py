@@ -277,7 +277,16 @@ def full_env(
     anchored: bool = False,
     reward: base.Reward = "sparse",
 ) -> hierarchy.Hierarchy:
-    """Returns the full hierarchy in several mazes: a robot with physics and its low level."""
+    """Returns the full hierarchy in several mazes: a robot with physics and its low level.
+
+    Args:
+      engine: of the robot.
+      stacked: the mazes.
+      view: of the high level.
+      low_policy: the low level.
+      anchored: whether subgoals are anchored, see `task.anchor`.
+      reward: "sparse" or "dense".
+    """
     env = physics_maze.PhysicsMaze(engine, stacked, view=view, anchored=anchored, reward=reward)
     return hierarchy.Hierarchy(env, low_policy)
 

@@ -126,7 +126,7 @@ def seconds_upright(model: mujoco.MjModel, robot: robot_lib.Robot) -> float:
 
 
 def is_stable(model: mujoco.MjModel, robot: robot_lib.Robot, seed: int = 0) -> bool:
-    """Returns whether its numbers keep their sense at full power, new in every control step."""
+    """Returns whether the simulation stays stable with random controls of -1 and 1."""
     rng, data, taken = np.random.default_rng(seed), _data(model, robot), controls.of(model, robot)
     for _ in range(_NUM_STEPS):
         data.ctrl[:] = taken.of(rng.choice(np.array([-1.0, 1.0], np.float32), model.nu))
