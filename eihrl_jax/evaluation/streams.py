@@ -20,7 +20,9 @@ def streams(
       names: of the mazes.
     """
     # CRC32, since Python's own hash of a text differs from process to process.
-    hashes = np.array([zlib.crc32(name.encode()) for name in names], np.uint32)
+    hashes = np.array(
+        [zlib.crc32(name.encode("utf-8", "backslashreplace")) for name in names], np.uint32
+    )
 
     def stream(
         seed: UInt32[Array, ""], maze: UInt32[Array, ""], episode: UInt32[Array, ""]

@@ -8,7 +8,7 @@ import pytest
 
 from eihrl_jax import base, mazes, robots
 from eihrl_jax.envs import raster, subgoals
-from eihrl_jax.evaluation import lanes, loading, results, rollouts
+from eihrl_jax.evaluation import lanes, loading, results, rollouts, streams
 from eihrl_jax.reporting import evaluations
 from eihrl_jax.runs import progress
 
@@ -114,3 +114,10 @@ def test_only_running_episodes_leave_traces():
     solved = rollout.episodes.achieved == 1
     if solved.any():
         assert len(typical.direction) in rollout.episodes.decisions[solved]
+
+
+def test_a_maze_file_whose_name_is_no_text_has_streams():
+    rows = np.array([[0, 0, 0], [0, 1, 0]])
+    keys, _ = streams.streams(rows, ["b\udcffd.txt", "b\udcfed.txt"])
+    first, second = jax.random.key_data(keys)
+    assert not np.array_equal(first, second)
