@@ -13,10 +13,11 @@ from eihrl_jax import base
 from eihrl_jax.benchmarks import part, timing
 from eihrl_jax.envs import goal_maze, wrappers
 
+_ROBOTS = ("point", "ant")
+_NUM_ENVS = 256
 
-def adapter_costs(
-    robot: str = "point", num_envs: int = 256, num_steps: int = 20, repeats: int = 5
-) -> part.Figures:
+
+def adapter_costs(num_steps: int = 20, repeats: int = 3) -> part.Figures:
     """Compares the mazes of Gymnasium and Brax with the bare environment, all begun anew at ends.
 
     Gymnasium's is stepped from Python, as it must be, and so is the bare one that it is compared
@@ -25,68 +26,77 @@ def adapter_costs(
     of the fastest count, which other work on the machine changes least.
 
     Args:
-      robot: which robot, in the maze U; the point costs least by itself.
-      num_envs: robots at once.
-      num_steps: control steps of each per measurement.
+      num_steps: control steps per measurement of 256 robots in the maze U.
       repeats: measurements of each.
 
     Returns:
-      `gymnasium` and `brax`, how many times the bare environment's time a step takes.
+      How many times the bare environment's time a step takes, by robot and door: "point gymnasium",
+      "point brax", and so on. The point costs least by itself, the ant is the paper's.
 
     Raises:
       base.UserError: Gymnasium or Brax isn't installed.
     """
+    figures = {}
+    for robot in _ROBOTS:
+        times = _times(robot, num_steps, repeats)
+        figures[f"{robot} gymnasium"] = times["gymnasium"] / times["stepped"]
+        figures[f"{robot} brax"] = times["brax"] / times["compiled"]
+    return figures
+
+
+def adapter_rows(figures: part.Figures) -> part.Rows:
+    """Returns the table's rows of the adapters' costs."""
+    return {
+        f"a step of {_NUM_ENVS} {robot}s through {name}, against the bare environment": (
+            f"{figures[f'{robot} {name.lower()}']:.2f} times its processor time"
+        )
+        for robot in _ROBOTS
+        for name in ("Gymnasium", "Brax")
+    }
+
+
+def _times(robot: str, num_steps: int, repeats: int) -> dict[str, float]:
+    """Returns the seconds of steps through each door, and of the bare ones beside them."""
     try:
         from eihrl_jax import brax, gym
     except ImportError as error:
         raise base.UserError(f"part adapters: {error}") from None
 
     env = brax.MazeEnv("u", robot)
-    shape = (num_steps, num_envs, env.action_size)
+    shape = (num_steps, _NUM_ENVS, env.action_size)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, shape).astype(np.float32)
     bare = wrappers.AutoReset(env.bare)
-    state = jax.jit(jax.vmap(bare.reset))(jax.vmap(jax.random.key)(jnp.arange(num_envs)))
+    reset = jax.jit(lambda seeds: jax.vmap(bare.reset)(jax.vmap(jax.random.key)(seeds)))
+    seeds = jnp.arange(_NUM_ENVS)
 
     wrapped = brax.wrap(env, env.episode_steps)
-    raw = jax.jit(jax.vmap(jax.random.PRNGKey))(jnp.arange(num_envs))
-    envs = gym.MazeVectorEnv(num_envs, "u", robot, autoreset_mode="SameStep")
-    envs.reset(seed=0)
+    raw = jax.jit(jax.vmap(jax.random.PRNGKey))(seeds)
+    envs = gym.MazeVectorEnv(_NUM_ENVS, "u", robot, autoreset_mode="SameStep")
 
     def step_gymnasium() -> None:
+        envs.reset(seed=0)
         for action in actions:
             envs.step(action)
 
     ctrls = jnp.asarray(actions)
-    times = timing.shortest(
+    return timing.shortest(
         {
-            "stepped": _stepped(bare, state, actions),
+            "stepped": _stepped(bare, lambda: reset(seeds), actions),
             "gymnasium": step_gymnasium,
-            "compiled": timing.rolled(jax.vmap(bare.step), state, ctrls),
+            "compiled": timing.rolled(jax.vmap(bare.step), reset(seeds), ctrls),
             "brax": timing.rolled(wrapped.step, jax.jit(wrapped.reset)(raw), ctrls),
         },
         repeats,
         clock=time.process_time,
     )
-    return {
-        "gymnasium": times["gymnasium"] / times["stepped"],
-        "brax": times["brax"] / times["compiled"],
-    }
-
-
-def adapter_rows(figures: part.Figures) -> part.Rows:
-    """Returns the table's rows of the adapters' costs."""
-    return {
-        f"a step of 256 points through {name}, against the bare environment": (
-            f"{figures[name.lower()]:.2f} times its processor time"
-        )
-        for name in ("Gymnasium", "Brax")
-    }
 
 
 def _stepped(
-    env: wrappers.AutoReset, state: goal_maze.EnvState, actions: Float[np.ndarray, "T N nu"]
+    env: wrappers.AutoReset,
+    reset: Callable[[], goal_maze.EnvState],
+    actions: Float[np.ndarray, "T N nu"],
 ) -> Callable[[], None]:
-    """Returns a function that steps the bare environment from Python."""
+    """Returns a function that begins the bare environment anew and steps it from Python."""
 
     @jax.jit
     def step(state: goal_maze.EnvState, action: Array) -> tuple[goal_maze.EnvState, Any]:
@@ -94,9 +104,9 @@ def _stepped(
         return state, (state.obs, state.reward, state.terminated, state.truncated)
 
     def run() -> None:
-        following = state
+        state = reset()
         for action in actions:
-            following, seen = step(following, action)
+            state, seen = step(state, action)
             jax.device_get(seen)
 
     return run
