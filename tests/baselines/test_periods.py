@@ -9,6 +9,7 @@ import pytest
 
 from eihrl_jax import mazes
 from eihrl_jax.baselines import periods
+from eihrl_jax.baselines.world import World
 from eihrl_jax.envs import goal_maze
 from tests.envs.sled import K, Sled
 
@@ -24,11 +25,12 @@ TEXT = """\
 def two_periods(reward):
     """Returns two periods of three decisions to the east, with leading axes [2, 3 K, 1]."""
     env = goal_maze.GoalMaze(Sled(), mazes.parse(TEXT, num_decisions=9), reward=reward)
+    world = World(env, 8, env.side_xy, 9 * K)
     envs = jax.vmap(env.reset)(jax.random.key(0)[None])
 
     def body(envs, key):
         return periods.run(
-            env,
+            world,
             envs,
             3 * K,
             lambda obs, key: jnp.zeros(2),

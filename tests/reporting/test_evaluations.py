@@ -172,7 +172,7 @@ def test_high_levels_that_differ_in_parameters_alone_are_compiled_once(folder, m
         ({"reward": "fat"}, "reward = 'fat' must be one of sparse, dense"),
         ({"low": ("a", "b")}, "low names 2 policies for 1 robots"),
         ({"low": ("a",), "movement": ("oracle",)}, "low = a needs movement full"),
-        ({"sigma": 0.2, "movement": ("full",)}, "sigma = 0.2 is of oracle movement"),
+        ({"sigma": 0.2, "movement": ("full",)}, "sigma = 0.2 needs movement oracle"),
     ],
 )
 def test_options_out_of_range_are_refused(change, message):
