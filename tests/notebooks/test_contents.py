@@ -12,9 +12,6 @@ from tests.notebooks import files
 
 HERE = pathlib.Path(__file__).parent
 MAX_BYTES = 600_000
-WITHOUT_OUTPUTS = {"zero_shot"}
-"""Kept as they are written: their outputs change with the reader's maze."""
-
 every_notebook = pytest.mark.parametrize("name", files.NAMES)
 
 
@@ -58,12 +55,9 @@ def test_is_kept_as_a_whole_run_leaves_it(name):
     cells = files.code_cells(files.read(name))
     counts = [cell.execution_count for cell in cells]
     kinds = {output.output_type for cell in cells for output in cell.outputs}
-    if name in WITHOUT_OUTPUTS:
-        assert not kinds
-    else:
-        assert counts == list(range(1, len(cells) + 1)), f"{name}: run it as a whole"
-        assert "display_data" in kinds
-        assert "error" not in kinds
+    assert counts == list(range(1, len(cells) + 1)), f"{name}: run it as a whole"
+    assert "display_data" in kinds
+    assert "error" not in kinds
     assert files.path(name).stat().st_size < MAX_BYTES
 
 
