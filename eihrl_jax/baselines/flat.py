@@ -119,8 +119,8 @@ class FlatDroq:
         # As many updates as all robots' steps ask for, all drawn at once: see `optimisation.loop`.
         stored = replay.add(state.replay, rows)
         count = num_envs * self.options.updates_per_step
-        drawn = replay.sample(stored, (count, self.options.learner.batch_size), draw_key)
-        batches = self._world.shard(drawn, axis=1)
+        shape = count, self.options.learner.batch_size
+        batches = self._world.draw(stored, shape, draw_key)
 
         def learn(learner: droq.DroqState) -> tuple[droq.DroqState, dict[str, Array]]:
             return optimisation.loop(self._learner.update, learner, batches, update_key)

@@ -2,14 +2,14 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
 from eihrl_jax import base
-from eihrl_jax.agents import devices
+from eihrl_jax.agents import devices, replay
 from eihrl_jax.ops import tree
 
 OutT = TypeVar("OutT")
@@ -52,6 +52,10 @@ class World:
     def on_each_device(self, function: Callable[..., OutT]) -> Callable[..., OutT]:
         """Returns a function whose arguments and results are sharded by their leading axes."""
         return devices.over_devices(function, self.mesh)
+
+    def draw(self, stored: replay.Replay, shape: tuple[int, int], key: Key[Array, ""]) -> Any:
+        """Draws U batches of B stored rows, sharded by their rows."""
+        return self.shard(replay.sample(stored, shape, key), axis=1)
 
     def shard(self, batches: TreeT, axis: int) -> TreeT:
         """Shards batches by the axis along which their rows lie."""

@@ -11,6 +11,9 @@ from eihrl_jax.config import low as low_config
 Goals = Literal["own", "anywhere"]
 """Where goals lie in training, see `BaselineConfig`."""
 
+LEVELS = ("learner", "manager", "controller")
+"""Names of the options of a method's levels, whose batches devices share."""
+
 
 @limits.dataclass
 class BaselineConfig:
@@ -68,7 +71,9 @@ class BaselineConfig:
     @property
     def shared(self) -> dict[str, int]:
         """What devices share evenly, by the name of its option."""
-        return {"num_envs": self.num_envs}
+        levels = [field.name for field in dataclasses.fields(self) if field.name in LEVELS]
+        sizes = {f"{name}.batch_size": getattr(self, name).batch_size for name in levels}
+        return {"num_envs": self.num_envs} | sizes
 
 
 @limits.dataclass
@@ -100,8 +105,3 @@ class FlatConfig(BaselineConfig):
     def steps_per_round(self) -> int:
         """Control steps of all environments together in a round."""
         return self.num_envs * self.iterations_per_round
-
-    @property
-    def shared(self) -> dict[str, int]:
-        """What devices share evenly, by the name of its option."""
-        return super().shared | {"learner.batch_size": self.learner.batch_size}

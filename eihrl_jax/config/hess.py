@@ -171,9 +171,3 @@ class HessConfig(baselines.BaselineConfig):
     def num_periods(self, episode_steps: int) -> int:
         """Returns the subgoals of an episode, of which time may cut the last one short."""
         return -(-episode_steps // self.period)
-
-    @property
-    def shared(self) -> dict[str, int]:
-        """What devices share evenly, by the name of its option."""
-        sizes = {"manager": self.manager.batch_size, "controller": self.controller.batch_size}
-        return super().shared | {f"{name}.batch_size": size for name, size in sizes.items()}

@@ -205,12 +205,6 @@ class HiglConfig(baselines.BaselineConfig):
         return self.num_envs * self.periods_per_round * self.period
 
     @property
-    def shared(self) -> dict[str, int]:
-        """What devices share evenly, by the name of its option."""
-        sizes = {"manager": self.manager.batch_size, "controller": self.controller.batch_size}
-        return super().shared | {f"{name}.batch_size": size for name, size in sizes.items()}
-
-    @property
     def num_updates(self) -> int:
         """Updates of the controller per round."""
         return round(self.steps_per_round * self.updates_per_step)

@@ -124,7 +124,7 @@ class Learning:
                 manager, row.transition, row.is_running.astype(jnp.float32), key
             ),
             state.learned.manager,
-            self._world.shard(replay.sample(state.high_replay, shape, draw_key), axis=1),
+            self._world.draw(state.high_replay, shape, draw_key),
             update_key,
         )
         learned = state.learned.replace(controller=controller, manager=manager)

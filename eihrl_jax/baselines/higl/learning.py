@@ -1,7 +1,6 @@
 """What HIGL learns in a round: controller, manager, adjacency network and novelty."""
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -149,7 +148,7 @@ class Learning:
         if self._options.guidance == "landmarks":
             shape = self._options.num_updates, self._options.controller.batch_size
             # Steps of rest are among them: they are no visits, but novelty is learned from them.
-            obs = self._draw(state.low_replay, shape, new_key).next_obs
+            obs = self._world.draw(state.low_replay, shape, new_key).next_obs
             new, losses = jax.lax.scan(self._novelty.update, learned.novelty, obs)
             learned = learned.replace(novelty=new)
             metrics["novelty_loss"] = losses.mean()
@@ -210,16 +209,12 @@ class Learning:
             next_obs=jnp.concatenate([row.next_obs, row.next_goal_xy], axis=-1),
         )
 
-    def _draw(self, stored: replay.Replay, shape: tuple[int, int], key: Key[Array, ""]) -> Any:
-        """Draws U batches of B rows, sharded by their rows."""
-        return self._world.shard(replay.sample(stored, shape, key), axis=1)
-
     def _learn_controller(
         self, state: HiglState, key: Key[Array, ""]
     ) -> tuple[ActorCriticState, dict[str, Float[Array, " U"]]]:
         draw_key, update_key = jax.random.split(key)
         shape = self._options.num_updates, self._options.controller.batch_size
-        rows = self._draw(state.low_replay, shape, draw_key)
+        rows = self._world.draw(state.low_replay, shape, draw_key)
 
         def update(
             controller: ActorCriticState, row: ControlRow, key: Key[Array, ""]
@@ -234,7 +229,7 @@ class Learning:
     ) -> tuple[ActorCriticState, dict[str, Float[Array, " U"]]]:
         pool_key, draw_key, update_key = jax.random.split(key, 3)
         shape = self._options.num_high_updates, self._options.manager.batch_size
-        rows = self._draw(state.high_replay, shape, draw_key)
+        rows = self._world.draw(state.high_replay, shape, draw_key)
         learned, ahead_xy = state.learned, self._ahead(state, rows, pool_key)
 
         def update(
