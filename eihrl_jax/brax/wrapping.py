@@ -10,7 +10,7 @@ from brax.envs.wrappers import training
 from jaxtyping import Array
 
 from eihrl_jax import base
-from eihrl_jax.ops import tree
+from eihrl_jax.ops import batching
 
 
 def wrap(
@@ -67,10 +67,10 @@ class _DrawAnew(envs.Wrapper):
         is_over = is_late | is_ended
 
         stepped: Any = state.pipeline_state  # of ours, where Brax would have its physics
-        fresh = jax.vmap(self.unwrapped.reset)(stepped.key)
-        pipeline_state, obs = jax.vmap(tree.where)(
-            is_over, (fresh.pipeline_state, fresh.obs), (stepped, state.obs)
+        begin = jax.vmap(
+            lambda is_over, key, old: batching.where_needed(is_over, self._begin, key, old)
         )
+        pipeline_state, obs = begin(is_over, stepped.key, (stepped, state.obs))
         done = is_over.astype(jnp.float32)
         told = {
             "truncation": late,
@@ -81,3 +81,8 @@ class _DrawAnew(envs.Wrapper):
         return dataclasses.replace(
             state, pipeline_state=pipeline_state, obs=obs, done=done, info=state.info | told
         )
+
+    def _begin(self, key: Array) -> tuple[Any, Array]:
+        """Draws a new episode; returns what of its state replaces the old one's."""
+        fresh = self.unwrapped.reset(key)
+        return fresh.pipeline_state, fresh.obs

@@ -9,7 +9,7 @@ from jaxtyping import Array, Key
 
 from eihrl_jax import base
 from eihrl_jax.base import InnerT, ObsT
-from eihrl_jax.ops import tree
+from eihrl_jax.ops import batching, tree
 
 
 def rest_if_over(
@@ -53,12 +53,22 @@ class AutoReset(Generic[InnerT, ObsT]):
         no = jnp.zeros_like(state.terminated)
         stepped = self.env.step(state.replace(terminated=no, truncated=no), action)
 
-        fresh = self.env.reset(stepped.key)
-        inner, obs, key = tree.where(
+        # Few episodes of a batch end in the same step, and a reset may cost more than a step.
+        inner, key, obs = batching.where_needed(
             stepped.is_over,
-            (fresh.inner, fresh.obs, fresh.key),
-            (stepped.inner, stepped.obs, stepped.key),
+            self._begin,
+            stepped.key,
+            (stepped.inner, stepped.key, self._drawn(stepped.obs)),
         )
-        # Drawn of the episode that goes on; the compiler then leaves out what was drawn above.
+        # Drawn of the episode that goes on, once.
         obs = obs if self.observe is None else self.observe(inner)
         return stepped.replace(inner=inner, obs=obs, key=key)
+
+    def _begin(self, key: Key[Array, ""]) -> tuple[InnerT, Key[Array, ""], ObsT | None]:
+        """Draws a new episode; returns what of its state replaces the old one's."""
+        fresh = self.env.reset(key)
+        return fresh.inner, fresh.key, self._drawn(fresh.obs)
+
+    def _drawn(self, obs: ObsT) -> ObsT | None:
+        """Returns an observation, or none where `observe` draws it in the end."""
+        return obs if self.observe is None else None

@@ -21,7 +21,7 @@ from eihrl_jax.drawing import snapshot
 from eihrl_jax.envs import task as task_lib
 from eihrl_jax.envs import wrappers
 from eihrl_jax.gym import forks, places
-from eihrl_jax.ops import tree
+from eihrl_jax.ops import batching, tree
 from eihrl_jax.robots import robot as robot_lib
 
 Mode = vector.AutoresetMode
@@ -361,7 +361,8 @@ def _same_step(env: _OwnMaze, state: EnvState, action: Array) -> EnvState:
 
 def _next_step(env: _OwnMaze, state: EnvState, action: Array) -> EnvState:
     """Advances one step; where the episode is over already, begins the next one instead."""
-    return tree.where(state.is_over, env.reset(state.key), env.step(state, action))
+    following = env.step(state, action)
+    return batching.where_needed(state.is_over, env.reset, state.key, following)
 
 
 def _no_reset(env: _OwnMaze, state: EnvState, action: Array) -> EnvState:

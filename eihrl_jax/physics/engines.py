@@ -1,5 +1,8 @@
 """Both physics engines by name."""
 
+import contextlib
+import io
+
 from eihrl_jax import base, robots
 from eihrl_jax.physics import engine, mujoco_engine, trials
 from eihrl_jax.robots import robot as robot_lib
@@ -19,7 +22,9 @@ def make(robot: robot_lib.Robot, name: str = "mujoco", cell: float | None = None
     if name == "mujoco":
         return _checked(mujoco_engine.MujocoEngine(robot, cell))
     if name == "mjx":
-        from eihrl_jax.physics import mjx_engine  # A second to import, and mostly not needed.
+        # Without Warp, which only its other implementation needs, MJX prints that it is missing.
+        with contextlib.redirect_stdout(io.StringIO()):
+            from eihrl_jax.physics import mjx_engine  # A second to import, and mostly not needed.
 
         return _checked(mjx_engine.MjxEngine(robot, cell))
     raise base.UserError(f"engine {name!r} is unknown; choose one of {', '.join(base.ENGINES)}")
