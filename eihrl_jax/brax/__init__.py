@@ -10,8 +10,14 @@
 `pip install eihrl_jax[brax]` brings Brax; `docs/brax.md` tells more.
 """
 
+import contextlib
+import io
+
 try:
-    import brax as _brax  # noqa: F401 (asked for before anything else is imported)
+    # Asked for before anything else is imported. Brax imports MJX, which without Warp, of no use
+    # here, prints that it is missing.
+    with contextlib.redirect_stdout(io.StringIO()):
+        from brax import envs as _envs  # noqa: F401
 except ImportError as error:
     raise ImportError("eihrl_jax.brax needs Brax: pip install 'eihrl_jax[brax]'") from error
 

@@ -82,7 +82,7 @@ class _DrawAnew(envs.Wrapper):
             state, pipeline_state=pipeline_state, obs=obs, done=done, info=state.info | told
         )
 
-    def _begin(self, key: Array) -> tuple[Any, Array]:
+    def _begin(self, key: Array) -> tuple[Any, Any]:
         """Draws a new episode; returns what of its state replaces the old one's."""
         fresh = self.unwrapped.reset(key)
         return fresh.pipeline_state, fresh.obs

@@ -43,6 +43,9 @@ class Statistics:
       recovered: share of the falls after which the robot stood again; NaN without falls.
       recovery_seconds: median time until then; NaN without recoveries.
       breakdowns: unstable simulations per 1,000 subgoals.
+      falls_straight: falls per 1,000 subgoals in the direction of the one before; NaN without any.
+      falls_quarter: of those to its left or right.
+      falls_half: of those back where it came from.
     """
 
     num_subgoals: int
@@ -58,6 +61,9 @@ class Statistics:
     recovered: float
     recovery_seconds: float
     breakdowns: float
+    falls_straight: float = math.nan
+    falls_quarter: float = math.nan
+    falls_half: float = math.nan
 
     @property
     def sigma(self) -> float:

@@ -5,12 +5,12 @@ from jaxtyping import Float
 
 from eihrl_jax import base
 from eihrl_jax.envs import end_points
-from eihrl_jax.evaluation import measure
+from eihrl_jax.evaluation import steps as steps_lib
 
 
-def by_direction(steps: measure.Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
+def by_direction(steps: steps_lib.Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
     """Returns displacements in the world's frame by direction, of subgoals begun clear, units."""
-    counted = measure.counts(steps)
+    counted = steps_lib.counts(steps)
     along_lateral = np.stack([steps.along[counted], steps.lateral[counted]], -1)
     direction = np.asarray(steps.direction)[counted]
 
@@ -22,7 +22,7 @@ def by_direction(steps: measure.Steps) -> dict[int, Float[np.ndarray, "S 2"]]:
     return ends
 
 
-def law(steps: measure.Steps) -> end_points.EndPoints:
+def law(steps: steps_lib.Steps) -> end_points.EndPoints:
     """Returns the end points of all subgoals without a wall in the way, falls included.
 
     Args:

@@ -6,17 +6,17 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from eihrl_jax import base, robots
 from eihrl_jax.config import low as low_config
 from eihrl_jax.config import measure as measure_config
 from eihrl_jax.envs import body as body_lib
 from eihrl_jax.envs import hierarchy, locomotion, postures, rooms, subgoals, wrappers
-from eihrl_jax.evaluation import loading
+from eihrl_jax.evaluation import falls, loading
 from eihrl_jax.evaluation import standing as standing_lib
 from eihrl_jax.evaluation import statistics as statistics_lib
+from eihrl_jax.evaluation import steps as steps_lib
 from eihrl_jax.mazes import maze as maze_lib
 from eihrl_jax.ops import rotations, tree
 from eihrl_jax.physics import engine as engine_lib
@@ -36,53 +36,13 @@ _DRIFT_SIZE = 2 * DRIFT_AFTER[-1] + 3
 """Side of the floor for it, cells: so large that no robot reaches the border."""
 
 _KEPT = ("switched", "along", "lateral", "fell", "broke_down")
-"""Metrics of `locomotion.Locomotion` that `Steps` holds."""
+"""Metrics of `locomotion.Locomotion` that `steps_lib.Steps` holds."""
 
 _DISPLACEMENT = (
     *("along_mean", "along_std", "lateral_mean", "lateral_std", "correlation"),
     *("along_distance", "lateral_distance"),
 )
 """Fields of `subgoals.Statistics` about displacements."""
-
-
-class SubgoalStart(struct.PyTreeNode):
-    """Conditions at the start of a subgoal.
-
-    Attributes:
-      is_upright: the robot had not fallen.
-      is_clear: no wall was in its way; always true in corridors, which subgoals follow.
-    """
-
-    is_upright: Bool[Array, ""]
-    is_clear: Bool[Array, ""]
-
-
-class Steps(struct.PyTreeNode):
-    """What robots did in each control step. T: steps, N: robots.
-
-    Attributes:
-      direction: int32, the subgoal that was followed.
-      start: conditions at its start.
-      switched: float32, 1 where it ended with this step.
-      along: float32, displacement along it when it ended, units.
-      lateral: float32, displacement to its left when it ended, units.
-      was_down: bool, the robot lay on the ground before this step.
-      fell: float32, 1 where it fell in this step.
-      broke_down: float32, 1 where the simulation became unstable in this step.
-      ended: bool, the episode ended with this step.
-      qpos: float32, MuJoCo's positions before this step.
-    """
-
-    direction: Int[Array, "T N"]
-    start: SubgoalStart
-    switched: Float[Array, "T N"]
-    along: Float[Array, "T N"]
-    lateral: Float[Array, "T N"]
-    was_down: Bool[Array, "T N"]
-    fell: Float[Array, "T N"]
-    broke_down: Float[Array, "T N"]
-    ended: Bool[Array, "T N"]
-    qpos: Float[Array, "T N nq"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,8 +62,8 @@ class Measurement:
     statistics: dict[str, subgoals.Statistics]
     drift: list[subgoals.Drift]
     standing: standing_lib.Standing | None
-    steps: Steps
-    corridors: Steps
+    steps: steps_lib.Steps
+    corridors: steps_lib.Steps
 
     def postures(self, num: int) -> postures.PostureBank:
         """Returns postures of the upright robot, see `upright_postures`."""
@@ -136,7 +96,7 @@ def run(options: measure_config.MeasureConfig) -> Measurement:
     num_steps = k * math.ceil(options.num_subgoals / num_envs)
     num_drifting = math.ceil(options.num_subgoals / DRIFT_AFTER[-1])
 
-    measured: dict[str, Steps] = {}
+    measured: dict[str, steps_lib.Steps] = {}
     drift: list[subgoals.Drift] = []
     num_following = len(floors) * num_steps * num_envs
     num_all = num_following + 2 * (k * DRIFT_AFTER[-1] + 1) * num_drifting
@@ -190,7 +150,7 @@ def _follow(
     key: Key[Array, ""],
     progress: progress_lib.Progress,
     done: int,
-) -> Steps:
+) -> steps_lib.Steps:
     """Lets robots follow random subgoals for `num_steps` steps; returns what they did, on the host.
 
     `progress` is told the control steps of all robots, `done` of which came before.
@@ -200,18 +160,18 @@ def _follow(
     reset_key, act_key = jax.random.split(key)
 
     def advance(
-        carry: tuple[locomotion.EnvState, SubgoalStart], _: None
-    ) -> tuple[tuple[locomotion.EnvState, SubgoalStart], Steps]:
+        carry: tuple[locomotion.EnvState, steps_lib.SubgoalStart], _: None
+    ) -> tuple[tuple[locomotion.EnvState, steps_lib.SubgoalStart], steps_lib.Steps]:
         state, start = carry
         before = state.inner
         was_down = body_lib.is_fallen(before.physics.qpos, env.robot)
-        now = SubgoalStart(is_upright=~was_down, is_clear=_is_clear(env, before))
+        now = steps_lib.SubgoalStart(is_upright=~was_down, is_clear=_is_clear(env, before))
 
         # The conditions at a subgoal's start are carried along until it ends, k steps later.
         start = tree.where(before.step % k == 0, now, start)
 
         after = resetting.step(state, policy(state.obs, act_key))
-        steps = Steps(
+        steps = steps_lib.Steps(
             direction=before.direction,
             start=start,
             was_down=was_down,
@@ -226,7 +186,7 @@ def _follow(
     follow = jax.jit(lambda carry: jax.lax.scan(jax.vmap(advance), carry, length=k))
     # Never read: an episode's first step begins a subgoal.
     nothing = jnp.zeros(num_envs, bool)
-    start = SubgoalStart(is_upright=nothing, is_clear=nothing)
+    start = steps_lib.SubgoalStart(is_upright=nothing, is_clear=nothing)
     carry = reset(jax.random.split(reset_key, num_envs)), start
     parts = []
     for first in range(0, num_steps, k):
@@ -251,7 +211,7 @@ def _is_clear(env: locomotion.Locomotion, state: locomotion.LocomotionState) -> 
 
 
 def drift_after(
-    steps: Steps, num_subgoals: int, robot: robot_lib.Robot, *, anchored: bool
+    steps: steps_lib.Steps, num_subgoals: int, robot: robot_lib.Robot, *, anchored: bool
 ) -> subgoals.Drift:
     """Computes how far robots are from their cells' centres after some subgoals.
 
@@ -296,7 +256,7 @@ def drift_after(
     )
 
 
-def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.Statistics:
+def summarise(steps: steps_lib.Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.Statistics:
     """Computes the statistics of subgoals from recorded steps.
 
     Args:
@@ -307,7 +267,7 @@ def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.St
     Returns:
       The statistics; displacements are NaN where no subgoal was completed clear and upright.
     """
-    is_counted = counts(steps)
+    is_counted = steps_lib.counts(steps)
     along, lateral = np.asarray(steps.along)[is_counted], np.asarray(steps.lateral)[is_counted]
 
     # A subgoal during which the simulation becomes unstable begins, but never completes.
@@ -316,13 +276,14 @@ def summarise(steps: Steps, robot: robot_lib.Robot, sigma: float) -> subgoals.St
     num_begun = max(int(begun.sum()), 1)
 
     # The median is over falls with a recovery, whose share is `recovered`. Rates are per 1,000.
-    times = recovery_times(steps, robot.steps_per_subgoal)
+    times = falls.recovery_times(steps, robot.steps_per_subgoal)
     finite = times[np.isfinite(times)]
     return subgoals.Statistics(
         num_subgoals=int(begun.sum()),
         blocked=float(1.0 - is_counted.sum() / max(completed.sum(), 1)),
         **_displacement(along, lateral, sigma),
         falls=1000.0 * float((steps.fell > 0).sum()) / num_begun,
+        **{f"falls_{turn}": rate for turn, rate in falls.by_turn(steps).items()},
         recovered=float(np.isfinite(times).mean()) if len(times) else math.nan,
         recovery_seconds=float(np.median(finite)) * robot.control_step if len(finite) else math.nan,
         breakdowns=1000.0 * float(steps.broke_down.sum()) / num_begun,
@@ -348,34 +309,9 @@ def _displacement(
     return dict(zip(_DISPLACEMENT, values, strict=True))
 
 
-def recovery_times(steps: Steps, min_steps: int) -> Float[np.ndarray, " F"]:
-    """Returns, for each fall, the control steps until the robot stood again, inf for never.
-
-    Args:
-      steps: on the host.
-      min_steps: a fall without recovery is left out where its episode ended within fewer steps.
-    """
-    times = []
-    for t, robot in np.argwhere(steps.fell > 0):
-        # Within the same episode: every new one starts upright.
-        ended = np.flatnonzero(steps.ended[t:, robot])
-        end = t + ended[0] if len(ended) else len(steps.ended) - 1
-
-        upright = np.flatnonzero(~steps.was_down[t + 1 : end + 1, robot])
-        if len(upright):
-            times.append(float(upright[0] + 1))
-        elif end - t >= min_steps:
-            times.append(math.inf)
-    return np.array(times)
-
-
-def counts(steps: Steps) -> Bool[np.ndarray, "T N"]:
-    """Returns which steps end a subgoal that was begun upright with no wall in the way."""
-    is_upright, is_clear = np.asarray(steps.start.is_upright), np.asarray(steps.start.is_clear)
-    return (np.asarray(steps.switched) > 0) & is_upright & is_clear
-
-
-def upright_postures(steps: Steps, robot: robot_lib.Robot, num: int) -> Float[Array, "num nq"]:
+def upright_postures(
+    steps: steps_lib.Steps, robot: robot_lib.Robot, num: int
+) -> Float[Array, "num nq"]:
     """Picks upright postures, spread evenly over time and robots.
 
     Args:

@@ -10,7 +10,8 @@ import pytest
 from eihrl_jax import base, robots
 from eihrl_jax.config import measure as measure_config
 from eihrl_jax.envs import end_points, postures, subgoals
-from eihrl_jax.evaluation import ends, measure, statistics, tables
+from eihrl_jax.evaluation import ends, falls, measure, statistics, tables
+from eihrl_jax.evaluation import steps as steps_lib
 from eihrl_jax.reporting import measurements
 
 ANT = dataclasses.replace(robots.load("ant"), steps_per_subgoal=2)
@@ -22,7 +23,7 @@ def _steps(num_steps, num_robots=1, **given):
     no, zero = np.zeros(shape, bool), np.zeros(shape, np.float32)
     fields = {
         "direction": np.zeros(shape, np.int32),
-        "start": measure.SubgoalStart(is_upright=~no, is_clear=~no),
+        "start": steps_lib.SubgoalStart(is_upright=~no, is_clear=~no),
         "switched": zero + (np.arange(num_steps) % 2 == 1)[:, None],
         "along": zero,
         "lateral": zero,
@@ -32,7 +33,7 @@ def _steps(num_steps, num_robots=1, **given):
         "ended": no,
         "qpos": np.zeros((*shape, 15), np.float32),
     }
-    return measure.Steps(**fields | given)
+    return steps_lib.Steps(**fields | given)
 
 
 def _column(*values, kind=np.float32):
@@ -47,7 +48,7 @@ def test_moments_are_those_of_clear_subgoals_begun_upright():
             8,
             along=_column(0, 2.0, 0, 4.0, 0, 9.0, 0, 9.0),
             lateral=_column(0, 0.5, 0, -0.1, 0, 9.0, 0, 9.0),
-            start=measure.SubgoalStart(is_upright=is_upright, is_clear=is_clear),
+            start=steps_lib.SubgoalStart(is_upright=is_upright, is_clear=is_clear),
         ),
         ANT,
         sigma=0.3,
@@ -67,7 +68,7 @@ def test_falls_and_recoveries():
     fell[1, 0] = fell[2, 1] = 1
     was_down[2:5, 0] = was_down[3:, 1] = True
     steps = _steps(num, 2, fell=fell, was_down=was_down)
-    assert measure.recovery_times(steps, 25).tolist() == [4.0, math.inf]
+    assert falls.recovery_times(steps, 25).tolist() == [4.0, math.inf]
     found = measure.summarise(steps, ANT, sigma=0.3)
     assert found.recovered == 0.5 and found.recovery_seconds == pytest.approx(0.4)
     assert found.num_subgoals == 40  # two robots, 40 steps, two steps a subgoal
@@ -78,7 +79,34 @@ def test_a_fall_shortly_before_the_end_says_nothing_of_recovery():
     fell, ended, was_down = (np.zeros((40, 1)) for _ in range(3))
     fell[10], ended[12], was_down[11:13] = 1, 1, 1
     steps = _steps(40, fell=fell, ended=ended > 0, was_down=was_down > 0)
-    assert len(measure.recovery_times(steps, 25)) == 0
+    assert len(falls.recovery_times(steps, 25)) == 0
+
+
+def test_falls_by_turn():
+    """East, east, west and a fall, north begun lying; a new episode: west, south and a fall, north.
+
+    Each subgoal takes two steps. The second robot goes east all the time, and falls at the start.
+    """
+    direction = np.repeat(np.array([[0, 0, 1, 2, 1, 3, 2], [0] * 7], np.int32).T, 2, axis=0)
+    ended, is_upright = np.zeros((14, 2), bool), np.ones((14, 2), bool)
+    ended[7] = True
+    is_upright[6:8, 0] = False
+    fell = np.zeros((14, 2), np.float32)
+    fell[[4, 6, 11], 0] = fell[0, 1] = 1
+    steps = _steps(
+        14,
+        2,
+        direction=direction,
+        ended=ended,
+        fell=fell,
+        start=steps_lib.SubgoalStart(is_upright=is_upright, is_clear=is_upright),
+    )
+    # Straight: one of the first robot, five of the second; a quarter: west, south; half: two.
+    assert falls.by_turn(steps) == {"straight": 0.0, "quarter": 1000.0, "half": 500.0}
+    steps = steps.replace(fell=fell[:, ::-1])
+    assert falls.by_turn(steps) == {"straight": 500.0, "quarter": 0.0, "half": 0.0}
+    alone = falls.by_turn(_steps(4))
+    assert alone["straight"] == 0.0 and math.isnan(alone["quarter"]) and math.isnan(alone["half"])
 
 
 def test_end_points_are_in_the_worlds_frame():
@@ -110,7 +138,7 @@ def test_a_law_tells_how_each_subgoal_began(tmp_path):
         fell=fell.astype(np.float32),
         was_down=was_down,
         ended=ended,
-        start=measure.SubgoalStart(is_upright=is_upright, is_clear=np.ones((12, 1), bool)),
+        start=steps_lib.SubgoalStart(is_upright=is_upright, is_clear=np.ones((12, 1), bool)),
     )
     found = ends.law(steps)
     names = [end_points.CONDITIONS[condition] for condition in found.condition]
@@ -169,7 +197,7 @@ def test_measuring_the_shipped_ant(tmp_path):
     assert postures.load(out / "postures.npz", robots.load("ant")).qpos.shape == (50, 15)
     assert (out / "subgoals.png").stat().st_size > 10_000
     assert found[subgoals.CORRIDORS].blocked == 0.0
-    assert tables.of_subgoals(found, "ant").row_count == 12
+    assert tables.of_subgoals(found, "ant").row_count == 15
     assert tables.of_drift(measured.drift, "ant").row_count == 6
     written = json.loads((out / subgoals.FILE).read_text())
     assert [row["num_subgoals"] for row in written[subgoals.DRIFT]] == [1, 10, 100] * 2
