@@ -27,7 +27,7 @@ test: $(READY) ## run the default tests on CPU, side by side; ARGS=-n0 one after
 test-slow: $(READY) ## run the tests that take minutes
 	$(BIN)/python -m pytest -m "slow and not gpu" $(ARGS)
 
-fuzz: $(READY) ## try thousands of odd mazes, maps, robots, options and policies, about an hour
+fuzz: $(READY) ## try thousands of odd mazes, maps, robots, options and policies, 15 minutes
 	FUZZ=1 $(BIN)/python -m pytest -n 0 -rA -q tests/test_properties.py $(ARGS)
 
 soak: $(READY) ## train, evaluate and step environments for an hour; memory must not grow

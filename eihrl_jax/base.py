@@ -69,8 +69,15 @@ ObsT = TypeVar("ObsT")
 class UserError(ValueError):
     """A user's mistake; its text is one line that names the thing, the value and the limit.
 
-    The command line prints it without a traceback and exits with 2.
+    The command line prints it without a traceback and exits with 2. Of a longer text, in which a
+    value from a file stands, the middle is left out.
     """
+
+    def __init__(self, text: str):
+        """Takes the text, of which at most 1,000 characters are kept."""
+        if len(text) > 1_000:
+            text = f"{text[:700]} ... {text[-295:]}"
+        super().__init__(text)
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:

@@ -242,6 +242,8 @@ def test_a_robot_of_ones_own_moves_and_meets_walls():
         ('damping="8"', 'damping="8" pos="0.2 0 0"', True, "must be neither turned nor moved"),
         ('type="capsule" fromto', 'size="inf" fromto', True, "cart.xml"),
         ("reach = 0.9", 'reach = 0.9\nkeyframe = "run"', False, "keyframe = 'run' isn't in it"),
+        # A value of any length is no more than a line or two of the message.
+        ("reach = 0.9", f'reach = 0.9\nkeyframe = "{"x" * 5000}"', False, "isn't in it; there is"),
         ("reach = 0.9", "reach = 0.9\nstart = [0.0]", False, "start has 1 numbers, its qpos has 3"),
     ],
 )
@@ -250,6 +252,7 @@ def test_what_is_wrong_with_a_description_is_said(tmp_path, old, new, in_xml, me
     with pytest.raises(base.UserError, match=re.escape(message)) as error:
         scene.build(robots.load(path))
     assert "\n" not in str(error.value) and "robot" in str(error.value)
+    assert len(str(error.value)) <= 1000
 
 
 def test_a_free_root_must_stand_upright(tmp_path):
