@@ -33,6 +33,8 @@ AT_REST = 2.0
 _TOLERANCE = 1.02
 """How much farther a part may come than the description says."""
 
+_UNSTABLE = "its simulation breaks down at full power: take a smaller physics_step"
+
 
 def check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
     """Checks the numbers of a description that ensure that walls hold the robot.
@@ -42,7 +44,8 @@ def check(model: mujoco.MjModel, robot: robot_lib.Robot) -> None:
       robot: the description.
 
     Raises:
-      base.UserError: parts of it are farther away, or it is faster, than the description says.
+      base.UserError: parts of it are farther away, or it is faster, than the description says, or
+        its simulation breaks down.
     """
     for fault in _of_walls(model, robot):
         raise base.UserError(f"robot {robot.name!r}: {fault}")
@@ -71,8 +74,8 @@ def faults(model: mujoco.MjModel, robot: robot_lib.Robot) -> list[str]:
         )
     if robot.root == "free" and (depth := -posture.lowest(model, start)) > _DEEP * robot.reach:
         found.append(f"in its start posture it is {depth:.2f} m deep in the floor")
-    if not is_stable(model, robot):
-        found.append("its simulation breaks down at full power: take a smaller physics_step")
+    if _UNSTABLE not in found and not is_stable(model, robot):
+        found.append(_UNSTABLE)
     if (error := symmetry_error(model, robot)) > _SYMMETRIC:
         found.append(f"its symmetry isn't one of the physics: it is wrong by {error:.2f}")
     return found
@@ -92,7 +95,9 @@ def _of_walls(model: mujoco.MjModel, robot: robot_lib.Robot) -> list[str]:
 
     speed = top_speed(model, robot)
     limit = robot.max_travel / robot.units_per_metre / robot.control_step
-    if speed * robot.physics_step > robot.body_radius:
+    if not np.isfinite(speed):
+        found.append(_UNSTABLE)
+    elif speed * robot.physics_step > robot.body_radius:
         found.append(
             f"at full power it moves {speed * robot.physics_step:.2f} m in a physics step, farther "
             f"than its body_radius of {robot.body_radius}: take a smaller physics_step"
@@ -206,6 +211,8 @@ def _data(model: mujoco.MjModel, robot: robot_lib.Robot) -> mujoco.MjData:
 def top_speed(model: mujoco.MjModel, robot: robot_lib.Robot, seed: int = 0) -> float:
     """Returns the torso's greatest mean speed along an axis in a control step at full power, m/s.
 
+    It is infinite where the simulation breaks down.
+
     Args:
       model: the robot's scene; walls are far away.
       robot: the description.
@@ -222,7 +229,7 @@ def top_speed(model: mujoco.MjModel, robot: robot_lib.Robot, seed: int = 0) -> f
         mujoco.mj_step(model, data, robot.num_substeps)
         path = np.abs(data.qpos[:2] - before).max()
         if not np.isfinite(path):
-            break
+            return np.inf
         greatest = max(greatest, float(path))
         if step % _HELD == _HELD - 1 and step >= _NUM_STEPS // 2:
             ctrl = rng.choice(np.array([-1.0, 1.0], np.float32), model.nu)

@@ -48,6 +48,7 @@ def _puck(tmp_path, *, gear=30, damping=10, more="", **options):
             "15.0 m/s, and walls hold up to 11.0: say max_speed = ",
         ),
         ({"gear": 6000, "damping": 100}, "0.60 m in a physics step, farther than its body_radius"),
+        ({"gear": 1e308}, "its simulation breaks down at full power: take a smaller physics_step"),
         ({"max_speed": 26.5}, "max_speed = 26.5 moves the torso 2.65 m in a control step"),
     ],
 )
