@@ -25,6 +25,7 @@ import tyro
 from eihrl_jax import base
 from eihrl_jax.cli import command as command_lib
 from eihrl_jax.cli import output
+from eihrl_jax.runs import stopping
 from eihrl_jax.training import parallel
 
 ConfigT = TypeVar("ConfigT")
@@ -47,6 +48,7 @@ def run(command: command_lib.Command, argv: Sequence[str], program: str) -> None
     # NaN is a value here, of what hasn't been measured yet, and all numbers are of 32 bits.
     jax.config.update("jax_debug_nans", False)
     jax.config.update("jax_enable_x64", False)
+    stopping.not_lost()
     try:
         words = _in_full(_in_todays_words(argv, command.earlier), _options(command.config_type))
         config = _parse(command, words, program)

@@ -143,17 +143,17 @@ class Runner:
           env: environment of the plan's mazes, in their order.
           plan: which episodes.
         """
-        self._env, self._plan = env, plan
-        self._rows, self._mazes = plan.rows, list(plan.mazes.values())
-        shapes = [maze.wall.shape for maze in self._mazes]
-        self._bins = whereabouts_lib.BINS_PER_CELL * np.max(shapes, axis=0)
+        # Jitted, each is traced once, for its shapes and for the programs that it is part of.
+        self._reset_one, self._trace = jax.jit(env.reset), jax.jit(env.trace)
+        self._plan, self._rows, self._mazes = plan, plan.rows, list(plan.mazes.values())
+        self._bins = whereabouts_lib.BINS_PER_CELL * np.max([m.wall.shape for m in self._mazes], 0)
         self._is_recorded = np.array([name in (plan.recorded or plan.mazes) for name in plan.mazes])
         self._recorded_each = self._num_recorded_each()
         self._num_recorded = int(self._is_recorded.sum()) * self._recorded_each
         # All batches have one size, so that nothing is compiled twice; the last is filled up.
         num_batches = math.ceil(len(self._rows) / self._max_rows())
         self._size = math.ceil(len(self._rows) / num_batches)
-        self._reset = jax.jit(jax.vmap(env.reset), compiler_options=base.QUICK_COMPILE)
+        self._reset = jax.jit(jax.vmap(self._reset_one), compiler_options=base.QUICK_COMPILE)
         self._compiled: dict[Hashable, jax.stages.Compiled] = {}
         self._tours = functools.cache(lambda maze, door: paths.tours(self._mazes[maze], door))
 
@@ -176,8 +176,8 @@ class Runner:
     @functools.cached_property
     def _shapes(self) -> tuple[base.EnvState, hierarchy.Trace]:
         """Shapes and types of an episode's state and of a decision's trace."""
-        state = jax.eval_shape(self._env.reset, jax.random.key(0), jnp.int32(0))
-        return jax.eval_shape(self._env.trace, state, jnp.int32(0))
+        state = jax.eval_shape(self._reset_one, jax.random.key(0), jnp.int32(0))
+        return jax.eval_shape(self._trace, state, jnp.int32(0))
 
     def run(
         self,
@@ -274,7 +274,7 @@ class Runner:
             state: base.EnvState, place: whereabouts_lib.Whereabouts, key: Key[Array, ""]
         ) -> tuple[base.EnvState, whereabouts_lib.Whereabouts, recording_lib.Decision]:
             action = high_policy(state.obs, jax.random.fold_in(key, t))
-            following, trace = self._env.trace(state, action)
+            following, trace = self._trace(state, action)
 
             # The state of an episode that is over stays while others of its batch go on.
             kept = tree.where(state.is_over, state, following)

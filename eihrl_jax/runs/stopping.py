@@ -1,4 +1,4 @@
-"""Ctrl-C while a run trains: the current piece of work is finished and saved first."""
+"""Ctrl-C: while a run trains, the current piece of work is finished and saved first."""
 
 import contextlib
 import os
@@ -75,3 +75,25 @@ def _can_be_asked() -> bool:
     is_main = threading.current_thread() is threading.main_thread()
     # A shell starts what runs in its background with Ctrl-C ignored.
     return is_main and signal.getsignal(signal.SIGINT) not in (None, signal.SIG_IGN)
+
+
+def not_lost() -> None:
+    """Lets Ctrl-C interrupt the process even where it comes in a callback of the collector.
+
+    JAX has such a callback, which runs whenever Python collects garbage. An exception in it is
+    printed as one that is ignored, and ignored. Who has a hook of his own for these keeps it.
+    """
+    if sys.unraisablehook is sys.__unraisablehook__:
+        sys.unraisablehook = _interrupt_again
+
+
+def _interrupt_again(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Interrupts the main thread soon, when the collector has gone back to what that was at."""
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
+        return
+    main = threading.main_thread().ident
+    assert main is not None
+    timer = threading.Timer(0.05, signal.pthread_kill, [main, signal.SIGINT])
+    timer.daemon = True
+    timer.start()

@@ -2,7 +2,8 @@
 
 import dataclasses
 import functools
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from eihrl_jax.agents import replay as replay_lib
 from eihrl_jax.config import low as low_config
 from eihrl_jax.envs import experience, locomotion, low_obs, subgoals, wrappers
 from eihrl_jax.ops import tree
+from eihrl_jax.physics import engine as engine_lib
 from eihrl_jax.physics import engines, scene
 from eihrl_jax.runs import progress as progress_lib
 from eihrl_jax.training import parallel
@@ -61,10 +63,7 @@ class LowTrainer:
 
         # Statistics are always measured on open floor, also if training is in rooms.
         on_open_floor = dataclasses.replace(config, num_rooms=0, anchored=False)
-        self._env, self._test_env = (
-            wrappers.AutoReset(locomotion.Locomotion.of_config(engine, each))
-            for each in (config, on_open_floor)
-        )
+        self._env, self._test_env = _task(engine, config), _task(engine, on_open_floor)
 
         # Sizes of the networks, without computing anything.
         obs = jax.eval_shape(self._env.reset, jax.random.key(0)).obs
@@ -99,8 +98,9 @@ class LowTrainer:
             self.advance, donate_argnums=0, in_shardings=(spread,), out_shardings=(spread, alike)
         )
         self.jit_measure = jax.jit(self.measure, static_argnums=(2, 3))
-        reset = jax.vmap(self._test_env.reset)
-        self._jit_reset = jax.jit(reset, compiler_options=base.QUICK_COMPILE)
+        self._jit_reset = jax.jit(
+            jax.vmap(self._test_env.reset), compiler_options=base.QUICK_COMPILE
+        )
         self._jit_walk = jax.jit(self._walk)
 
     def init(self, key: Key[Array, ""]) -> LowState:
@@ -332,3 +332,16 @@ class LowTrainer:
 
         length = self.robot.steps_per_subgoal if num_steps is None else num_steps
         return jax.lax.scan(body, envs, length=length)
+
+
+class _Task(NamedTuple):
+    """An environment's functions. Jitted, each is traced once for all programs it is part of."""
+
+    reset: Callable[[Key[Array, ""]], base.EnvState]
+    step: Callable[[base.EnvState, Float[Array, " nu"]], base.EnvState]
+
+
+def _task(engine: engine_lib.Engine, config: low_config.LowConfig) -> _Task:
+    """Returns the task of a run, one episode after the other."""
+    env = wrappers.AutoReset(locomotion.Locomotion.of_config(engine, config))
+    return _Task(jax.jit(env.reset), jax.jit(env.step))
