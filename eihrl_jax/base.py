@@ -73,8 +73,9 @@ class UserError(ValueError):
     value from a file stands, the middle is left out.
     """
 
-    def __init__(self, text: str):
-        """Takes the text, of which at most 1,000 characters are kept."""
+    def __init__(self, message: object):
+        """Takes the text, or another such error, as some libraries raise it again."""
+        text = str(message)
         if len(text) > 1_000:
             text = f"{text[:700]} ... {text[-295:]}"
         super().__init__(text)

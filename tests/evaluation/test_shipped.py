@@ -20,7 +20,8 @@ def test_high_levels_load(name):
 
 @pytest.mark.parametrize("name", policies.shipped("low"))
 def test_low_levels_load(name):
-    assert callable(loading.load_low(name, robots.load(name)))
+    robot = policies.read_meta(policies.find(name, "low"))["robot"]
+    assert callable(loading.load_low(name, robots.load(robot)))
 
 
 def test_subgoals_are_anchored_where_both_levels_know_them():
